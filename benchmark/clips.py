@@ -5,9 +5,9 @@ from functools import partial
 from typing import Generic, TypeVar, overload
 
 import numpy as np
-from jaxtyping import Float, Integer, UInt8
+from jaxtyping import Integer, UInt8
 
-from benchmark.metrics.poses import TruePoses
+from benchmark.metrics.poses import TruePoses, visible_centers
 from benchmark.models.interface import Clip
 from datagen.errors import UsageError
 from datagen.geometry import rotation_from_quaternion
@@ -108,18 +108,5 @@ def read_true_poses(
         box_center=position + np.einsum("foij,oj->foi", rotation, middle),
         box_rotation=record["objects/minimum_box_rotation"][:count].astype(np.float64),
         box_size=record["objects/minimum_box_size"][:count].astype(np.float64),
-        visible_center=visible_centers(clip, truth, count),
+        visible_center=visible_centers(clip.points(), clip.valid, truth, count),
     )
-
-
-def visible_centers(
-    clip: Clip, truth: Integer[np.ndarray, "frame view height width"], count: int
-) -> Float[np.ndarray, "frame view object 3"]:
-    """Mean of the visible points of each object in each image, metres, world frame; nan if it shows none."""
-    points = clip.points()
-    centers = np.full((*truth.shape[:2], count, 3), np.nan)
-    for frame, view, row in np.ndindex(*centers.shape[:3]):
-        mine = (truth[frame, view] == row + 1) & clip.valid[frame, view]
-        if mine.any():
-            centers[frame, view, row] = points[frame, view][mine].mean(axis=0)
-    return centers

@@ -10,6 +10,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from datagen.errors import UsageError
+
 FORMAT_VERSION = 1
 """Version of the file format, raised when readers of the previous version would misread the files."""
 
@@ -233,10 +235,10 @@ def encode_depth(depth: np.ndarray) -> np.ndarray:
     """Convert metres to stored units.
 
     Raises:
-        ValueError: a depth does not fit the format (negative, beyond `MAX_DEPTH`, or not finite).
+        UsageError: a depth does not fit the format (negative, beyond `MAX_DEPTH`, or not finite).
     """
     if not np.all((depth >= 0) & (depth <= MAX_DEPTH)):
-        raise ValueError(
+        raise UsageError(
             f"Depths from {np.min(depth):.3f} to {np.max(depth):.3f} m do not fit the format, which holds 0 to "
             f"{MAX_DEPTH:.3f} m; move the camera closer or make the table smaller."
         )

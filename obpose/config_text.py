@@ -4,17 +4,18 @@ import dataclasses
 import difflib
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
-from datagen.console.text import counted
+from datagen.console.text import brief, counted
 from obpose.config import Config, override
 from obpose.errors import UsageError
 
 Plain = dict[str, Any]
 """A configuration as nested dicts of JSON values."""
 _NAMED, _LONGEST = 3, 80
-"""Largest number of unknown values that a message names, and of characters that it shows of a value."""
+"""Largest number of unknown values that a message names, and of characters that it shows of a name."""
+_LARGEST = 2**63 - 1
+"""Largest absolute value of a number."""
 ADDED_LATER: Plain = {"image_scale": 1}
 """Values, with their defaults, that older files lack. Settings of results leave them out at their defaults, so that
 older results keep their keys."""
@@ -33,7 +34,7 @@ def from_plain(plain: Mapping[str, Any], kind: type = Config) -> Any:
     """
     kinds, values = dict(_kinds(kind, "")), dict(_flatten(plain, ""))
     if unknown := sorted(values.keys() - kinds.keys()):
-        names = ", ".join(map(_brief, unknown[:_NAMED])) + ", ..." * (len(unknown) > _NAMED)
+        names = ", ".join(brief(name, _LONGEST) for name in unknown[:_NAMED]) + ", ..." * (len(unknown) > _NAMED)
         raise UsageError(f"The configuration has unknown values, {names}: it was written by another version.")
     changes = {name: _conform(value, kinds[name], name) for name, value in values.items()}
     if missing := [name for name in kinds if name not in values and name.rpartition(".")[2] not in ADDED_LATER]:
@@ -96,27 +97,15 @@ def _conform(value: Any, kind: Any, name: str) -> Any:
     Raises:
         UsageError: the value is not of this type.
     """
-    if isinstance(value, int) and abs(value) >= 2**63:
-        raise UsageError(f"{name} is a whole number of {value.bit_length()} bits; expected one of at most 63.")
-    for choice in get_args(kind) if get_origin(kind) in (UnionType, Union) else (kind,):
-        origin = get_origin(choice)
-        if origin is Literal and value in get_args(choice):
-            return value
-        if origin is tuple and isinstance(value, list | tuple):
-            return _conform_items(value, get_args(choice), name)
-        if choice is float and isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
-        if isinstance(choice, type) and choice is not float and type(value) is choice:
-            return value
-    raise UsageError(f"{name}={_brief(value)}: expected {_say(kind)}.")
+    from datagen.storage.structure import strict_converter  # late: --help needs no cattrs
 
-
-def _conform_items(values: list[Any] | tuple[Any, ...], kinds: tuple[Any, ...], name: str) -> tuple[Any, ...]:
-    if kinds[-1] is ...:
-        kinds = kinds[:1] * len(values)
-    if len(values) != len(kinds):
-        raise UsageError(f"{name}: {counted(len(values), 'value')}, expected {len(kinds)}.")
-    return tuple(_conform(value, kind, name) for value, kind in zip(values, kinds, strict=True))
+    try:
+        return strict_converter(_LARGEST, to_float=True).structure(value, kind)
+    except ValueError as error:
+        found, _, expected = str(error).rpartition(", expected ")
+        said = f": {found}, " if isinstance(value, list | tuple) else f"={brief(str(value), _LONGEST)}: "
+        or_none = " or none" if type(None) in get_args(kind) else ""
+        raise UsageError(f"{name}{said}expected {expected}{or_none}.") from None
 
 
 def _read(text: str, kind: Any) -> Any:
@@ -131,21 +120,6 @@ def _read(text: str, kind: Any) -> Any:
         return parse_json(text)
     except ValueError:  # bad JSON, but also NaN, infinity and numbers of thousands of digits
         return text
-
-
-def _brief(value: Any) -> str:
-    """Format a value on one short line, whatever its type and length."""
-    text = " ".join(str(value).split())
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
-
-
-def _say(kind: Any) -> str:
-    if get_origin(kind) is Literal:
-        return f"one of {', '.join(map(str, get_args(kind)))}"
-    if get_origin(kind) in (UnionType, Union):
-        return " or ".join(map(_say, get_args(kind)))
-    names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", type(None): "none"}
-    return names.get(kind, str(kind))
 
 
 def _kinds(kind: type, place: str) -> Iterator[tuple[str, Any]]:

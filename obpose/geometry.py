@@ -1,14 +1,32 @@
 """Rays and surface points of pixels, and coordinates in the objects' boxes."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import wraps
+from typing import ParamSpec, TypeVar
 
 import torch
 from einops import rearrange, repeat
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from obpose.model.layers.numerics import full_precision
 from obpose.types import Boxes, Observation, RayPoints, Rays
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+def full_precision(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Decorator for geometry, which half precision would round to a percent of the scene's size."""
+
+    @wraps(function)
+    def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        device = next(value.device.type for value in (*args, *kwargs.values()) if isinstance(value, Tensor))
+        with torch.autocast(device, enabled=False):
+            return function(*args, **kwargs)
+
+    return run
+
 
 Places = Float[Tensor, "*#shape point 3"]
 Centers = Float[Tensor, "*#shape 3"]

@@ -9,6 +9,7 @@ Importing PyTorch takes seconds, so only building a model does it.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from obpose.baselines.obsurf.config import OBSURF_PROFILES, OBSURF_SEARCHED, OBSURF_VARIANTS, ObsurfConfig
@@ -43,8 +44,8 @@ class Architecture:
     config: type
     """Class of the configuration, a dataclass whose defaults are the profile `cpu`."""
     profiles: Mapping[str, Changes]
-    build: Callable[[Any], "Trainable"]
-    """Function that builds a model with fresh weights."""
+    builder: str
+    """Function or class that builds a model with fresh weights: its place, as importing it imports PyTorch."""
     check: Callable[[Any], None]
     """Function that raises an error if a configuration cannot be built and trained."""
 
@@ -87,50 +88,28 @@ class System:
         return {name: value for name, value in changes.items() if name in names}
 
 
-def _build_obpose(config: Config) -> "Trainable":
-    from obpose.model.build import build_obpose
-
-    return build_obpose(config)
-
-
-def _build_obsurf(config: ObsurfConfig) -> "Trainable":
-    from obpose.baselines.obsurf.model import Obsurf
-
-    return Obsurf(config)
-
-
-def _build_supervised(config: SupervisedConfig) -> "Trainable":
-    from obpose.baselines.supervised import Supervised
-
-    return Supervised(config)
-
-
-def _build_contact(config: ContactConfig) -> "Trainable":
-    from obpose.contact.model import ContactModel
-
-    return ContactModel(config)
-
-
-def _build_contact_obpose(config: Any) -> "Trainable":
-    from obpose.contact.scene_model import build_contact_obpose
-
-    return build_contact_obpose(config)
-
-
-def _build_ogc(config: OgcConfig) -> "Trainable":
-    from obpose.baselines.ogc import Ogc
-
-    return Ogc(config)
-
-
-OBPOSE = Architecture("obpose", Config, PROFILES, _build_obpose, check_bounds)
-OBSURF = Architecture("obsurf", ObsurfConfig, OBSURF_PROFILES, _build_obsurf, check_obsurf_bounds)
+OBPOSE = Architecture("obpose", Config, PROFILES, "obpose.model.build.build_obpose", check_bounds)
+OBSURF = Architecture(
+    "obsurf", ObsurfConfig, OBSURF_PROFILES, "obpose.baselines.obsurf.model.Obsurf", check_obsurf_bounds
+)
 _CONTACT_PROFILES: dict[str, Changes] = {"cpu": {}, "gpu": {"train.batch": 256, "train.precision": "bf16-mixed"}}
-SUPERVISED = Architecture("supervised", SupervisedConfig, _CONTACT_PROFILES, _build_supervised, check_contact_bounds)
-CONTACT = Architecture("contact", ContactConfig, _CONTACT_PROFILES, _build_contact, check_contact_bounds)
-OGC = Architecture("ogc", OgcConfig, _CONTACT_PROFILES, _build_ogc, check_contact_bounds)
+SUPERVISED = Architecture(
+    "supervised",
+    SupervisedConfig,
+    _CONTACT_PROFILES,
+    "obpose.baselines.supervised.Supervised",
+    check_contact_bounds,
+)
+CONTACT = Architecture(
+    "contact", ContactConfig, _CONTACT_PROFILES, "obpose.contact.model.ContactModel", check_contact_bounds
+)
+OGC = Architecture("ogc", OgcConfig, _CONTACT_PROFILES, "obpose.baselines.ogc.Ogc", check_contact_bounds)
 OBPOSE_CONTACT = Architecture(
-    "obpose-contact", ContactObPoseConfig, PROFILES, _build_contact_obpose, check_contact_obpose_bounds
+    "obpose-contact",
+    ContactObPoseConfig,
+    PROFILES,
+    "obpose.contact.scene_model.build_contact_obpose",
+    check_contact_obpose_bounds,
 )
 ARCHITECTURES = {
     architecture.name: architecture for architecture in (OBPOSE, OBSURF, SUPERVISED, CONTACT, OGC, OBPOSE_CONTACT)
@@ -280,15 +259,14 @@ def system_of(config: object) -> str:
     architecture = architecture_of(config)
     own = dict(dotted_values(config))
     distances = {
-        name: min(_differing(own, system.config(profile)) for profile in architecture.profiles)
+        name: min(
+            sum(own[other] != value for other, value in dotted_values(system.config(profile)))
+            for profile in architecture.profiles
+        )
         for name, system in SYSTEMS.items()
         if system.architecture is architecture
     }
     return min(distances, key=distances.__getitem__)
-
-
-def _differing(own: Mapping[str, Any], config: Any) -> int:
-    return sum(own[name] != value for name, value in dotted_values(config))
 
 
 def slots_for(segments: int) -> dict[str, int]:
@@ -302,4 +280,5 @@ def slots_for(segments: int) -> dict[str, int]:
 
 def build_model(config: Any) -> "Trainable":
     """Build the model of a configuration, with fresh weights."""
-    return architecture_of(config).build(config)
+    module, _, name = architecture_of(config).builder.rpartition(".")
+    return getattr(import_module(module), name)(config)

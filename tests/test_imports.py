@@ -78,6 +78,11 @@ def test_no_cycle_of_imports():
     assert cycle(graph) is None
 
 
+def test_no_cycle_of_subpackages():
+    files = {path: (ROOT / path).read_text() for path in sources()}
+    assert cycle(subpackages(files)) is None
+
+
 @pytest.mark.parametrize(
     ("path", "source"),
     [
@@ -127,6 +132,15 @@ def test_only_safe_io_opens_files_from_outside():
 )
 def test_an_unsafe_call_is_found(source: str, unsafe: bool):
     assert bool(unsafe_calls(source)) == unsafe
+
+
+def test_a_cycle_of_subpackages_is_found():
+    files = {
+        "datagen/render/raster.py": "from datagen.pipeline.records import pixel_record",
+        "datagen/pipeline/generate.py": "import datagen.render.kernels",
+        "datagen/pipeline/records.py": "from datagen.scene import Scene",
+    }
+    assert cycle(subpackages(files)) == ["datagen.render", "datagen.pipeline", "datagen.render"]
 
 
 def test_a_cycle_is_found():
@@ -221,16 +235,39 @@ def imported_modules(path: str, source: str) -> list[str]:
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            parents = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
-            base = ".".join([*parents, *([node.module] if node.module else [])])
+            parts = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            base = ".".join([*parts, *([node.module] if node.module else [])])
             found += [submodule if is_module(submodule := f"{base}.{alias.name}") else base for alias in node.names]
     return found
+
+
+def subpackages(files: dict[str, str]) -> dict[str, set[str]]:
+    """Folders and those beside them that they import from, given the source of each file by path."""
+    graph: dict[str, set[str]] = {}
+    for path, source in files.items():
+        for imported in imported_modules(path, source):
+            pairs = zip(parents(module_name(path)), parents(imported), strict=False)
+            one, two = next((pair for pair in pairs if pair[0] != pair[1]), ("", ""))
+            if "." in one and is_folder(one) and is_folder(two):
+                graph.setdefault(one, set()).add(two)
+    return graph
+
+
+def parents(module: str) -> list[str]:
+    """A module's packages and itself: `a.b` gives a and a.b."""
+    parts = module.split(".")
+    return [".".join(parts[: length + 1]) for length in range(len(parts))]
+
+
+def is_folder(name: str) -> bool:
+    """Whether a dotted name is a package of ours."""
+    return (ROOT / name.replace(".", "/") / "__init__.py").is_file()
 
 
 def is_module(name: str) -> bool:
     """Whether a dotted name is a module or package of ours."""
     path = ROOT / name.replace(".", "/")
-    return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
+    return path.with_suffix(".py").is_file() or is_folder(name)
 
 
 def cycle(graph: dict[str, set[str]]) -> list[str] | None:

@@ -14,10 +14,10 @@ from benchmark.execution.jobs import repeat_rows, run_all
 from benchmark.execution.plan import Plan, check_places, estimate, make_plan, superseded
 from benchmark.models.registry import GROUPS, discover
 from benchmark.ranking import compare as paired
+from benchmark.ranking import pack as packing
+from benchmark.ranking.manifest import commands_of
 from benchmark.ranking.text import terminal
-from benchmark.results import pack as packing
 from benchmark.results import scoring as rescoring
-from benchmark.results.manifest import commands_of
 from benchmark.results.packed_runs import refuse_packed
 from benchmark.results.run_folder import RunRow, check_runs, delete_rows, load_runs
 from benchmark.results.scoring import SPLIT

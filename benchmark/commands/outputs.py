@@ -28,10 +28,10 @@ from benchmark.ranking.columns import (
     suffixes_explained,
     with_poses,
 )
+from benchmark.ranking.manifest import commands_of, write_manifest
 from benchmark.ranking.standings import ModelResult, best_first, comparable_groups
 from benchmark.ranking.text import terminal
 from benchmark.results.labels import locate
-from benchmark.results.manifest import commands_of, write_manifest
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import RunRow, load_runs
 from datagen.console.progress import busy, status_console, track_progress, tracked

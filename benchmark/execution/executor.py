@@ -143,6 +143,7 @@ def run_isolated(job: Runnable, limits: Limits, stop: threading.Event, on_event:
     """
     log = job.out / LOGS / f"{job.results[0]}.log"
     log.parent.mkdir(parents=True, exist_ok=True)
+    # A session of its own, so that all processes of the job can be killed together.
     with log.open("wb") as errors:
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", "benchmark.execution.worker"],
@@ -156,6 +157,7 @@ def run_isolated(job: Runnable, limits: Limits, stop: threading.Event, on_event:
             outcome = _supervise(process, job, limits, stop, on_event)
         finally:
             _kill(process)
+    # Keep the log of failures only.
     if not outcome.reason or log.stat().st_size == 0:
         log.unlink()
     return outcome

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmark.clips import ClipSequence, TruthSequence
+from benchmark.csv_files import Curve
 from benchmark.execution.executor import FITTED, Limits, Outcome, run_jobs
 from benchmark.machine import commit, peak_mib
 from benchmark.models.adapters.predictions import PredictionFolder
@@ -21,8 +22,6 @@ from benchmark.models.model_spec import ModelSpec, Options
 from benchmark.models.registry import find_model
 from benchmark.models.tuning import choose
 from benchmark.models.validation import VALIDATION, ValidationScorer
-from benchmark.ranking.text import brief, one_line
-from benchmark.results.csv_files import Curve
 from benchmark.results.labels import write_labels
 from benchmark.results.reconstructions import save_reconstruction, shown_images, shown_scenes
 from benchmark.results.run_folder import (
@@ -37,6 +36,7 @@ from benchmark.results.run_folder import (
     save_row,
 )
 from benchmark.results.scoring import SPLIT, score_labels
+from datagen.console.text import brief, one_line
 from datagen.errors import UsageError
 from datagen.storage.atomic import write_atomically
 from datagen.storage.reader import Dataset, Split
@@ -247,17 +247,20 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     held_out = dataset.split("val")
     labelled = held_out.has("segmentation")
     val, truths = _clips(held_out, spec), TruthSequence(held_out) if labelled else []
+    # Tuning needs labels of the validation split.
     tuned = len(spec.grid) > 1
     if tuned and not len(val):
         raise UsageError(f"{job.fit_data} has no validation scenes, but {job.model!r} is tuned on them; make some.")
     if tuned and not labelled:
         raise UsageError(f"{job.fit_data} has no masks in split val, but {job.model!r} is tuned on them; add some.")
+    # Options of the constructor; tuning takes half of the budget.
     options = {"slots": job.fit_slots} | ({} if job.steps is None else {"steps": job.steps})
     options |= {} if job.profile == "cpu" else {"profile": job.profile}
     changes = spec.on_tracks.get(job.targets[0].key.fit_track)
     options |= {"changes": dict(changes)} if changes else {}
     budget = job.seconds / 2 if tuned else job.seconds
     chosen = choose(spec, options, train, val, truths, seed=job.seed, budget=budget).options
+    # Final fit.
     scorer = ValidationScorer(val, truths, job.state[1]) if job.folder and labelled else None
     segmenter = spec.build({**chosen, **({"folder": job.folder, "watch": scorer} if job.folder else {})})
     segmenter.fit(train, val, seed=job.seed, budget=budget)

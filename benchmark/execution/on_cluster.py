@@ -58,8 +58,10 @@ def run_remotely(job: Runnable, limits: Limits, mark: Path) -> tuple[Outcome, Ma
 
     with_paths(job, check)
     limits = dataclasses.replace(limits, memory_mib=min(limits.memory_mib, memory_share() / 2**20))
+    # A worker that shares the run folder works in it.
     if mark.exists():
         return _run(job, limits), {}
+    # Other workers work in a copy, and continue the state that an earlier worker left with the scheduler.
     with TemporaryDirectory() as place:
         folder = Path(place)
         moved = with_paths(

@@ -123,11 +123,13 @@ def make_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Plan:
         return _predictions_plan(request, rows, out)
     done = {row.key for row in rows}
     keys, jobs, splits = [], [], {}
+    # One job for each model, seed and track fitted on, with all tracks that still lack a row.
     for setup, sources in _setups(request):
         for seed in range(setup.seeds):
             targets = {source: setup.target(source, seed) for source in sources}
             keys += [key for target in targets.values() for key in target.keys]
             missing = {source: target for source, target in targets.items() if not done.issuperset(target.keys)}
+            # One run serves all seeds of a model that does not depend on them.
             if not missing or (seed > 0 and not setup.spec.random):
                 continue
             jobs.append(setup.job(seed, tuple(missing.values()), out))

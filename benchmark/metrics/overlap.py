@@ -80,8 +80,5 @@ def _mean_over_objects(
     values: Float64[np.ndarray, "frame object"], tables: Int64[np.ndarray, "frame truth slot"]
 ) -> Float64[np.ndarray, "frame"]:
     present = tables[:, 1:].sum(axis=2) > 0
-    return _per_object(np.sum(values * present, axis=1), present.sum(axis=1))
-
-
-def _per_object(totals: Float64[np.ndarray, "frame"], objects: np.ndarray) -> Float64[np.ndarray, "frame"]:
-    return np.where(objects > 0, totals / np.maximum(objects, 1), np.nan)
+    objects = present.sum(axis=1)
+    return np.where(objects > 0, np.sum(values * present, axis=1) / np.maximum(objects, 1), np.nan)

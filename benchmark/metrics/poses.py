@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float, Integer
 from benchmark.metrics.box_overlap import Box, box_overlap
 from benchmark.metrics.contingency import contingency
 from benchmark.metrics.overlap import intersection_over_union
-from benchmark.models.interface import Poses
 from datagen.shapes.symmetry import is_continuous, symmetry_rotations
 
 BOX_GROUP = symmetry_rotations("O")
@@ -76,6 +75,21 @@ _MEDIANS = {"translation_median": "translation_error", "orientation_median": "or
 
 
 @dataclass(frozen=True, eq=False)
+class Poses:
+    """Oriented bounding boxes of the objects, one row per label: row 3 belongs to label 3 of that image.
+
+    World frame, metres. Rows of labels without a pose, such as the background's, are nan.
+    """
+
+    center: Float[np.ndarray, "frame view label 3"]
+    """Centre of the box of the whole object, hidden parts included."""
+    rotation: Float[np.ndarray, "frame view label 3 3"] | None = None
+    """World from box; None if the model has no orientations. The order of the box's axes does not matter."""
+    size: Float[np.ndarray, "frame view label 3"] | None = None
+    """Side lengths of the box along its axes; None if the model has no sizes. It requires `rotation`."""
+
+
+@dataclass(frozen=True, eq=False)
 class TruePoses:
     """True poses of the objects of a clip, in the generator's order: object i has id i + 1. World frame, metres."""
 
@@ -95,6 +109,21 @@ class TruePoses:
         """Box of an object."""
         rotation = self.rotation[frame, row] @ self.box_rotation[row]
         return self.box_center[frame, row], rotation, self.box_size[row]
+
+
+def visible_centers(
+    points: Float[np.ndarray, "frame view height width 3"],
+    valid: Bool[np.ndarray, "frame view height width"],
+    truth: Integer[np.ndarray, "frame view height width"],
+    count: int,
+) -> Float[np.ndarray, "frame view object 3"]:
+    """Mean of the valid points of each object in each image, metres; nan if it shows none."""
+    centers = np.full((*truth.shape[:2], count, 3), np.nan)
+    for frame, view, row in np.ndindex(*centers.shape[:3]):
+        mine = (truth[frame, view] == row + 1) & valid[frame, view]
+        if mine.any():
+            centers[frame, view, row] = points[frame, view][mine].mean(axis=0)
+    return centers
 
 
 def pose_scores(

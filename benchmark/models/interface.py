@@ -18,13 +18,14 @@ passed only if they apply, so they need defaults:
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Integer, UInt8
+from jaxtyping import Integer, UInt8
 
-from datagen.geometry import unproject
+from benchmark.metrics.poses import Poses as Poses
+from datagen.rgbd.clip import Clip as Clip
 
 LARGEST_LABEL = 255
 """Largest label; label maps are stored as bytes."""
@@ -38,52 +39,6 @@ def object_slots(slots: int) -> int:
 def slots_for_objects(objects: int) -> int:
     """Slot count of the benchmark for a number of objects: the inverse of `object_slots`."""
     return objects + 1
-
-
-@dataclass(frozen=True, eq=False)
-class Clip:
-    """RGB-D frames of one scene from static cameras. Frames of reference are those of `datagen.geometry`."""
-
-    rgb: UInt8[np.ndarray, "frame view height width 3"]
-    """sRGB."""
-    depth: Float32[np.ndarray, "frame view height width"]
-    """Planar z in metres, 0 without a return."""
-    valid: Bool[np.ndarray, "frame view height width"]
-    """Whether the pixel has a depth."""
-    k: Float[np.ndarray, "view 3 3"]
-    """Camera matrices in pixels, pixel centres at +0.5."""
-    world_from_camera: Float[np.ndarray, "view 4 4"]
-    """Poses of the cameras, metres."""
-    truth: UInt8[np.ndarray, "frame view height width"] | None = None
-    """Object ids, 0 = background; None except for models registered with `uses_labels`."""
-
-    def points(
-        self, target_from_camera: Float[np.ndarray, "view 4 4"] | None = None
-    ) -> Float[np.ndarray, "frame view height width 3"]:
-        """Unproject all pixels, metres, into the world or another target frame; meaningless where `valid` is False."""
-        poses = self.world_from_camera if target_from_camera is None else target_from_camera
-        cameras = list(zip(self.k, poses, strict=True))
-        return np.stack([[unproject(d, *camera) for d, camera in zip(f, cameras, strict=True)] for f in self.depth])
-
-    def select(self, frames: slice | Sequence[int]) -> "Clip":
-        """Build a clip of some of the frames."""
-        images = {name: getattr(self, name) for name in ("rgb", "depth", "valid", "truth")}
-        return replace(self, **{name: None if array is None else array[frames] for name, array in images.items()})
-
-
-@dataclass(frozen=True, eq=False)
-class Poses:
-    """Oriented bounding boxes of the objects, one row per label: row 3 belongs to label 3 of that image.
-
-    World frame, metres. Rows of labels without a pose, such as the background's, are nan.
-    """
-
-    center: Float[np.ndarray, "frame view label 3"]
-    """Centre of the box of the whole object, hidden parts included."""
-    rotation: Float[np.ndarray, "frame view label 3 3"] | None = None
-    """World from box; None if the model has no orientations. The order of the box's axes does not matter."""
-    size: Float[np.ndarray, "frame view label 3"] | None = None
-    """Side lengths of the box along its axes; None if the model has no sizes. It requires `rotation`."""
 
 
 @dataclass(frozen=True, eq=False)

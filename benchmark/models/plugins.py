@@ -26,7 +26,7 @@ from typing import Any, cast
 from benchmark.models.interface import Segmenter
 from benchmark.models.model_spec import DEFAULT_BUDGET, KINDS, PRIORS, VIEWS_SEEN, Builder, ModelSpec, Views
 from benchmark.names import check_model_name, check_row_name, find_twin
-from benchmark.ranking.text import brief
+from datagen.console.text import brief
 from datagen.errors import UsageError
 
 GROUP = "obpose.models"

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Integer
 
+from benchmark.csv_files import Curve, load_curve, save_curve
 from benchmark.metrics import clip_scores, mean_where_defined
 from benchmark.models.interface import Clip, Prediction
-from benchmark.results.csv_files import Curve, load_curve, save_curve
 from datagen.errors import CorruptFile
 
 VALIDATION = "watched"

@@ -1,7 +1,7 @@
 """Columns, rows, blocks and notes of the leaderboard, from which every table is rendered.
 
 The terminal, Markdown, LaTeX and HTML tables choose from these columns and define none of their own. leaderboard.csv is
-more detailed: it has several columns for each score.
+more detailed: it has several columns for each score, in the order in which the metrics are computed.
 """
 
 import csv
@@ -16,13 +16,13 @@ from benchmark.ranking.standings import (
     ALL_METRICS,
     PRETRAINED,
     RANKED_METRICS,
+    SWITCHES,
     TUNED,
     USES_LABELS,
     ModelResult,
     best_first,
 )
-from benchmark.ranking.text import brief
-from datagen.console.text import counted
+from datagen.console.text import brief, counted
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,8 @@ SCORES = (
     Score("msc_fg_video", "MSC-FG, clip"),
 )
 """Segmentation scores of all results, the most important first."""
+SUMMARISED = (*(name for name in ALL_METRICS if name in {score.name for score in SCORES}), SWITCHES)
+"""Names of `SCORES` in the order of leaderboard.csv, with the identity switches, which no other table shows."""
 OTHER_SCORES = (
     Score("hota", "HOTA", "Higher-order tracking accuracy: geometric mean of detection and association."),
     Score("idf1", "IDF1", "F1 of frames in which an object has its one slot of the clip, with an IoU of at least 0.5."),

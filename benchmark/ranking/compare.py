@@ -15,10 +15,10 @@ from benchmark.ranking import statistics
 from benchmark.ranking.columns import place_title, without_floor
 from benchmark.ranking.standings import ALL_METRICS, ModelResult, compare_results, load_scores, unranked
 from benchmark.ranking.statistics import Difference
-from benchmark.ranking.text import decimals_that_show, one_line
+from benchmark.ranking.text import decimals_that_show
 from benchmark.results.run_folder import check_runs
 from datagen.console.progress import Tracker, untracked
-from datagen.console.text import counted
+from datagen.console.text import counted, one_line
 from datagen.errors import UsageError
 
 COLUMNS = {"metric": 17, "A": 5, "B": 5, "A - B": 6, "95 % interval": 13, "wins": 5, "resolvable": 10, "p": 5}
@@ -63,6 +63,7 @@ def compare(
         UsageError: a model has no scores in this folder, or the two have no track in common.
         CorruptFile: a finished row is damaged.
     """
+    # Tracks on which both models have scores.
     check_runs(folder)
     everything = unranked(*load_scores(folder, progress))
     results = [result for result in everything if result.n_scenes > 0]

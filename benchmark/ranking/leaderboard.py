@@ -6,13 +6,8 @@ per_scene.csv ...... one line a seed and scene
 leaderboard.md, leaderboard.tex .... the main columns in the layout of the paper
 Columns named measured_* are times and memory, which differ between equal runs.
 A packed folder (`benchmark.results.packed_runs`) keeps the first two as they were published.
-
-The lines of a CSV are plain dictionaries. A data frame would turn whole numbers with gaps into floats, and import
-pandas for the few lines of `to_csv`.
 """
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -21,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.metrics import CLIP_METRICS, METRICS, mean_where_defined
+from benchmark.csv_files import Cell, Line, to_csv
+from benchmark.metrics import mean_where_defined
 from benchmark.ranking import text
 from benchmark.ranking.columns import (
     HEADINGS,
@@ -30,6 +26,7 @@ from benchmark.ranking.columns import (
     POSE_SCORES,
     RANK,
     SEEDS,
+    SUMMARISED,
     VIEWS,
     Column,
     Row,
@@ -44,20 +41,16 @@ from benchmark.ranking.columns import (
     track_title,
     with_poses,
 )
-from benchmark.ranking.standings import RANKED_METRICS, SWITCHES, ModelResult, comparable_groups, load_standings
+from benchmark.ranking.standings import RANKED_METRICS, ModelResult, comparable_groups, load_standings
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import COUNTS, RunRow
 from datagen.console.progress import Tracker, untracked
+from datagen.console.text import one_line
 from datagen.storage.atomic import write_atomically
-
-Cell = str | int | float
-Line = Mapping[str, Cell]
 
 FILES = ("leaderboard.csv", "per_seed.csv", "per_scene.csv", "leaderboard.md", "leaderboard.tex")
 PACKED = FILES[:2]
 """Tables that are part of a packed folder."""
-SUMMARISED = (*METRICS, *CLIP_METRICS, SWITCHES)
-"""Metrics of all results; the others have columns behind those of the costs."""
 
 
 def write(folder: Path, progress: Tracker = untracked) -> list[ModelResult]:
@@ -87,6 +80,7 @@ def leaderboard_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
     for result in results:
         yield {
             **dict(zip(("track", "fit_track", "model"), result.place, strict=True)),
+            # Scores, ranks and groups.
             "kind": result.row.kind,
             "marks": result.marks,
             "rank": Row(result).rank,
@@ -94,6 +88,7 @@ def leaderboard_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
             **_metric_columns(result, SUMMARISED),
             **{f"{name}_group": found for name, found in zip(RANKED_METRICS, result.group_letters, strict=True)},
             **{name: _mean(values) for name, values in _counts(result).items()},
+            # Seeds and scenes.
             "n_seeds": len(result.rows),
             "n_runs": result.n_runs,
             "n_scored": result.n_scored,
@@ -104,6 +99,7 @@ def leaderboard_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
             "best_floor": result.best_floor,
             "n_scenes": result.n_scenes,
             "n_skipped": result.n_skipped,
+            # Model, data and costs.
             "priors": "; ".join(result.row.priors),
             "pretrained": result.row.pretrained,
             "version": result.row.key.version,
@@ -113,6 +109,7 @@ def leaderboard_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
             "device": _distinct(row.device for row in result.rows),
             "commit": _distinct(row.commit for row in result.rows),
             **_measured(result.rows),
+            # Columns that only some results have.
             **({"views": result.views} if result.views else {}),
             **_metric_columns(result, result.further_metrics),
         }
@@ -157,17 +154,6 @@ def scene_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
             yield {**_place(row), **dict(zip(columns, values, strict=True))}
 
 
-def to_csv(lines: Iterable[Line]) -> str:
-    """Format lines as CSV with the columns of all of them; floats have six decimals, missing cells are empty."""
-    lines = list(lines)
-    names = list(dict.fromkeys(name for line in lines for name in line))
-    content = io.StringIO(newline="")
-    writer = csv.writer(content, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows([_csv_cell(line.get(name, "")) for name in names] for line in lines)
-    return content.getvalue()
-
-
 def markdown(results: Sequence[ModelResult]) -> str:
     """Format all tables as one Markdown page."""
     # Escape the names in notes, but keep their emphasis.
@@ -184,7 +170,7 @@ def markdown(results: Sequence[ModelResult]) -> str:
 
 def latex(results: Sequence[ModelResult]) -> str:
     """Format all tables as LaTeX, for documents that load booktabs, adjustbox and xcolor."""
-    notes = [f"% {text.one_line(note)}" for note in (*table_notes(results), "Needs booktabs, adjustbox and xcolor.")]
+    notes = [f"% {one_line(note)}" for note in (*table_notes(results), "Needs booktabs, adjustbox and xcolor.")]
     tables = [_latex_table(table) for group in comparable_groups(results) for table in _tables(group)]
     return "\n".join(notes) + "\n\n" + "\n".join(tables)
 
@@ -220,6 +206,7 @@ def _tables(group: Sequence[ModelResult]) -> Iterator[_Table]:
         (block.title, [[_cell(row, column, best) for column in columns] for row in block.rows])
         for block in blocks(group)
     ]
+    # Models of the paper that were not run have no scores of ours.
     missing = [model for model in paper if model not in {result.row.key.model for result in group}]
     empty = [_Cell("")] * (len(columns) - 2)
     if missing:
@@ -283,6 +270,7 @@ def _latex_table(table: _Table) -> str:
         r"        \toprule",
         rf"        {' & '.join(headings)} \\",
     ]
+    # One rule above each block.
     for title, rows in table.blocks:
         lines.append(r"        \midrule")
         if title:
@@ -361,11 +349,3 @@ def _measured(rows: Sequence[RunRow]) -> dict[str, float]:
         "measured_fit_seconds": float(np.mean([cost.fit_seconds for cost in costs])),
         "measured_peak_mib": float(np.max([cost.peak_mib for cost in costs])),
     }
-
-
-def _csv_cell(value: Cell) -> str:
-    if isinstance(value, float):
-        return f"{value:z.6f}"
-    content = text.printable(str(value))
-    # Spreadsheets would compute a cell that begins like a formula.
-    return f"'{content}" if content.startswith(("=", "+", "-", "@")) else content

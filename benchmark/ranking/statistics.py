@@ -127,14 +127,17 @@ def difference(one: tuple[Scores, Scores], two: tuple[OtherScores, OtherScores],
     Raises:
         ValueError: the numbers of scenes differ.
     """
+    # Scenes that both models define.
     first, second = mean_over_seeds(*one), mean_over_seeds(*two)
     both = (first[1] > 0) & (second[1] > 0)
     if not both.any():
         return NO_DIFFERENCE
     (x, v), (y, w) = ([np.where(both, part, 0.0)[None] for part in model] for model in (first, second))
     found = float(pooled_means(x, v)[0] - pooled_means(y, w)[0])
+    # Bootstrap over scenes: the same draws for both models.
     drawn = (_resampled_means(x, v, resamples.scenes) - _resampled_means(y, w, resamples.scenes))[:, 0]
     drawn = drawn[~np.isnan(drawn)]
+    # Share of scenes that the first model wins; ties count half.
     wins = np.where(np.abs(x - y) <= TIE, 0.5, x > y)[0, both]
     return Difference(
         mean=found,

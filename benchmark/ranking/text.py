@@ -5,14 +5,11 @@ HTML is escaped by its templates.
 
 import math
 import re
-import textwrap
-import unicodedata
 from collections.abc import Callable, Iterable
 
 from rich.text import Text
 
-MOST_CHARACTERS = 300
-"""Longest message; longer ones are shortened."""
+from datagen.console.text import one_line
 
 FEWEST_DECIMALS, MOST_DECIMALS = 3, 6
 
@@ -23,31 +20,6 @@ _LATEX = str.maketrans(
     | {"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "`": r"\textasciigrave{}", '"': "''"}
     | {"±": r"$\pm$", "°": r"$^\circ$", "†": r"$\dagger$", "‡": r"$\ddagger$", "§": r"\S{}", "–": "--"}
 )
-
-
-def printable(text: str) -> str:
-    r"""Replace line breaks and tabs by spaces, and control characters by question marks.
-
-    >>> printable("one\n  two\x1b[31m")
-    'one   two?[31m'
-    """
-    # Controls and formatting, such as bidirectional overrides and broken UTF-16.
-    hidden = ("Cc", "Cf", "Cs")
-    return "".join(" " if c.isspace() else "?" if unicodedata.category(c) in hidden else c for c in text)
-
-
-def one_line(text: str) -> str:
-    r"""Make a text `printable`, with single spaces.
-
-    >>> one_line(" one\n  two ")
-    'one two'
-    """
-    return " ".join(printable(text).split())
-
-
-def brief(text: str, most: int = MOST_CHARACTERS) -> str:
-    """Convert a text as `one_line` does, and shorten it to at most `most` characters."""
-    return textwrap.shorten(one_line(text), most, placeholder=" ...")
 
 
 def terminal(text: str) -> Text:

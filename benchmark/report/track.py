@@ -7,6 +7,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+from benchmark.csv_files import CLOCKS
 from benchmark.models.validation import SCORES
 from benchmark.names import base_name
 from benchmark.ranking.columns import HEADINGS, OTHER_SCORES, POSE_SCORES, SEEDS, scenes_title, with_poses
@@ -18,7 +19,6 @@ from benchmark.report.analysis import Analysis, analyse
 from benchmark.report.charts import LineChart, Scatter, class_chart, history_chart, scatter
 from benchmark.report.observations import Objects, observe
 from benchmark.report.slices import Missing, slicings
-from benchmark.results.csv_files import CLOCKS
 from benchmark.results.scoring import SPLIT
 from datagen.errors import DatagenError, UsageError
 from datagen.storage.reader import Dataset, Split

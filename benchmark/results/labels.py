@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from benchmark.models.interface import Poses, Prediction
-from benchmark.results.poses import PoseWriter, poses_in
+from benchmark.models.pose_file import PoseWriter, poses_in
 from benchmark.results.run_folder import LABELS, RunRow
 from datagen.errors import CorruptFile, DatagenError, UsageError
 from datagen.storage.atomic import replacing

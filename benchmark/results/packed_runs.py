@@ -8,7 +8,7 @@ DIR/
     leaderboard.csv, per_seed.csv, manifest.json ..... as in an ordinary run folder
 Equal tables are stored once. A row names the one whose table it shares: "scenes": "OTHER", or "../paper/OTHER" in
 another packed folder; "curve" does the same for learning curves. Scores have at most six decimals, and nan is an empty
-cell; learning curves are exact. `benchmark.results.pack` writes this form.
+cell; learning curves are exact. `benchmark.ranking.pack` writes this form.
 """
 
 import csv
@@ -24,7 +24,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from benchmark.results.csv_files import Curve, parse_curve
+from benchmark.csv_files import Curve, parse_curve
 from datagen.errors import CorruptFile, UsageError
 from datagen.storage.atomic import write_atomically
 from datagen.storage.safe_io import MOST_TEXT_BYTES, file_version, parse_json, read_bytes
@@ -136,24 +136,26 @@ def stored_rows(folder: Path) -> dict[str, Fields]:
 
 def stored_scenes(folder: Path) -> dict[str, Columns]:
     """Load all tables of `scenes.csv.xz` by name; none if the file is absent."""
-    path = folder / SCENES_FILE
-    return _load(path, _parse_scenes) if path.exists() else {}
+    return _tables(folder / SCENES_FILE, _columns)
 
 
 def stored_curves(folder: Path) -> dict[str, Curve]:
     """Load all curves of `curves.csv.xz` by name; none if the file is absent."""
-    path = folder / CURVES_FILE
-    return _load(path, _parse_curves) if path.exists() else {}
+    return _tables(folder / CURVES_FILE, parse_curve)
 
 
-def _load(path: Path, parse: Callable[[Path], Parsed]) -> Parsed:
+def _tables(path: Path, parse: Callable[[Sequence[str], list[list[str]]], Stored]) -> dict[str, Stored]:
+    return _load(path, _parse_tables, parse) if path.exists() else {}
+
+
+def _load(path: Path, parse: Callable[..., Parsed], *arguments: Any) -> Parsed:
     """Parse a file, or return the cached result if the file has not changed."""
-    return _load_version(path, parse, file_version(path))
+    return _load_version(path, file_version(path), parse, *arguments)
 
 
 @lru_cache(maxsize=48)
-def _load_version(path: Path, parse: Callable[[Path], Any], _version: tuple[int, ...] | None) -> Any:
-    return parse(path)
+def _load_version(path: Path, _version: tuple[int, ...] | None, parse: Callable[..., Any], *arguments: Any) -> Any:
+    return parse(path, *arguments)
 
 
 def _parse_rows(path: Path) -> dict[str, Fields]:
@@ -167,14 +169,6 @@ def _parse_rows(path: Path) -> dict[str, Fields]:
             raise _damaged(path, f"line {number} has no name of its own")
         rows[row["name"]] = row
     return rows
-
-
-def _parse_scenes(path: Path) -> dict[str, Columns]:
-    return _parse_tables(path, _columns)
-
-
-def _parse_curves(path: Path) -> dict[str, Curve]:
-    return _parse_tables(path, parse_curve)
 
 
 def _parse_tables(path: Path, parse: Callable[[Sequence[str], list[list[str]]], Stored]) -> dict[str, Stored]:

@@ -26,9 +26,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from benchmark.csv_files import load_curve, read_csv, save_curve
 from benchmark.metrics import CLIP_METRICS, METRICS, OTHER_METRICS, mean_where_defined
 from benchmark.models.model_spec import Kind
-from benchmark.results.csv_files import load_curve, read_csv, save_curve
 from benchmark.results.packed_runs import SCENES_FILE, is_packed, packed_rows, packed_scenes
 from datagen.console.text import counted
 from datagen.errors import CorruptFile, UsageError

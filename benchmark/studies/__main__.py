@@ -6,7 +6,7 @@ from importlib import import_module
 
 import tyro
 
-from benchmark.ranking.leaderboard import to_csv
+from benchmark.csv_files import to_csv
 from datagen.console.command_line import run_program
 from datagen.console.interrupts import interruptible_imports
 from datagen.errors import EXIT_OK, UsageError, unknown_name

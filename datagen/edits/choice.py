@@ -8,8 +8,7 @@ from jaxtyping import Float, Int
 
 from datagen.config import Recipe
 from datagen.edits.edit_context import Stage, displaced, with_copy, without
-from datagen.pipeline.simulate import visible_pixels
-from datagen.pipeline.visible_range import near_object
+from datagen.render.visible_range import near_object, visible_pixels
 from datagen.sampling.poses import Stance, about_vertical
 from datagen.schema import EditKind
 

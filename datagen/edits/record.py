@@ -8,10 +8,9 @@ from jaxtyping import Bool, UInt8
 from datagen.config import Recipe
 from datagen.edits.choice import Edit, choose_edit
 from datagen.edits.edit_context import Stage, without
-from datagen.pipeline.records import photographs, render_clip, stack_images, stored_depth
-from datagen.pipeline.visible_range import check_range
-from datagen.render.renderer import PathTracer, Renderer
-from datagen.schema import LEAST_EFFECT, EditKind, SceneRecord
+from datagen.render.renderer import PathTracer, Renderer, photographs, render_clip, stack_images
+from datagen.render.visible_range import check_range
+from datagen.schema import LEAST_EFFECT, EditKind, SceneRecord, encode_depth
 
 _IMAGES = ("rgb", "depth", "segmentation")
 
@@ -71,7 +70,7 @@ def _images(stage: Stage, own: SceneRecord, renderer: Renderer) -> SceneRecord:
     images = render_clip(stage.scene, stage.shapes, stage.world_from_object, renderer, (width, height))
     return {
         "rgb": stack_images(images, "rgb"),
-        "depth": stored_depth(stack_images(images, "depth")),
+        "depth": encode_depth(stack_images(images, "depth")),
         "segmentation": stage.named(stack_images(images, "segmentation")),
     }
 

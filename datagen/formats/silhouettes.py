@@ -9,8 +9,9 @@ from jaxtyping import Bool
 from datagen.edits.edit_context import Stage
 from datagen.errors import CorruptFile, UsageError
 from datagen.formats.scenes import ExportScene
-from datagen.pipeline.records import render_clip, scene_and_trajectory, stack_images
+from datagen.pipeline.records import scene_and_trajectory
 from datagen.render import make_renderer
+from datagen.render.renderer import render_clip, stack_images
 from datagen.shapes import build
 
 

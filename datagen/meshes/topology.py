@@ -8,12 +8,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from datagen.meshes.distance import winding_numbers
+from datagen.shapes.geometry.mesh import CREASE_COSINE
 
 _WELD = 1e-6
 """Distance, as a share of the longest side, within which corners are one vertex."""
-
-CREASE_COSINE = np.cos(np.radians(40))
-"""Neighbouring faces that turn by less than 40 degrees share their normals."""
 
 _MOST_PAIRS = 20_000_000
 """Largest number of pairs of faces around vertices that are smoothed; beyond it, faces are flat."""

@@ -190,6 +190,7 @@ def render(
             what is in the folder.
         DatagenError: the source is incomplete, or the run could not be completed.
     """
+    # Refuse datasets that cannot be rendered.
     if folder.resolve() == source.resolve():
         raise UsageError(f"{folder} is the dataset whose scenes are to be rendered; give another folder with --out.")
     dataset = Dataset(source)
@@ -210,6 +211,7 @@ def render(
     }
     spec = render_spec(dataset.spec, **settings, cameras=cameras)
     meshes = open_library(dataset.spec.get("assets"), assets)
+    # Rendering needs no hulls, and so no CoACD; placing edited objects does.
     if meshes and not edits:
         meshes = meshes.without_hulls()
     return _fill(folder, spec, Source(source, settings_hash(dataset.spec)), meshes, run)
@@ -228,6 +230,7 @@ def render_spec(
     compression: Compression | None = None,
 ) -> Spec:
     """The spec of a dataset that `render` makes of the scenes of another."""
+    # Cameras: those of a file, of a recipe, or of the source.
     poses = cameras.views if cameras else () if rig else source.get("cameras", ())
     replaced = {key: recipe_to_dict(rig)[key] for key in ("rig", "views")} if rig else source["rig"]
     if cameras:
@@ -276,6 +279,7 @@ def _fill(folder: Path, wanted: Spec, source: Source | None, meshes: Library | N
         if split := next((name for name, scenes in wanted["splits"].items() if scenes), None):
             SceneMaker(wanted, source, meshes)(split, 0)
 
+    # Make the missing scenes of each shard, and write shards as they become complete.
     with filling(folder, wanted, overwrite=run.overwrite, prove=make_first) as spec:
         tasks = shard_tasks(folder, spec, run.splits, run.share)
         scenes = sum(len(task.todo) for task in tasks)
@@ -294,6 +298,7 @@ def _fill(folder: Path, wanted: Spec, source: Source | None, meshes: Library | N
         finished = not tasks and is_finished(folder, spec)
         facts = None if finished else recorded_facts(folder, spec)
         seconds = time.monotonic() - started
+        # The run that completes the dataset describes it.
         if facts:
             write_card(folder)
             manifest = make_manifest(spec, facts, seconds=seconds, workers=run.workers, scenes_made=scenes)

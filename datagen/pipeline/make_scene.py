@@ -13,11 +13,11 @@ from datagen.edits import edits_record
 from datagen.edits.edit_context import stage_of
 from datagen.errors import CorruptFile, UsageError
 from datagen.meshes.library import Library
-from datagen.pipeline.records import photographs, pixel_record, scene_and_trajectory, simulation_record, with_scene
-from datagen.pipeline.visible_range import check_range
+from datagen.pipeline.records import pixel_record, scene_and_trajectory, simulation_record, with_scene
 from datagen.random_streams import Stream, scene_rng
 from datagen.render import SAMPLES, make_renderer
-from datagen.render.renderer import PathTracer, Renderer
+from datagen.render.renderer import PathTracer, Renderer, photographs
+from datagen.render.visible_range import check_range
 from datagen.sampling.cameras import sample_cameras
 from datagen.scene import Camera, Scene, Trajectory
 from datagen.schema import FIELDS, SPLITS, SceneRecord
@@ -166,6 +166,7 @@ def make_scene(
     """
     recipe = recipe_of(spec)
     given = cameras_from_values(spec.get("cameras", []))
+    # Scene and trajectory, then other cameras if wanted.
     if source:
         record, (scene, trajectory) = source, scene_and_trajectory(source)
     else:
@@ -176,6 +177,7 @@ def make_scene(
         record = with_scene(record, scene)
     if not spec["renderer"]:
         return record
+    # Images.
     shapes = tuple(build(body.shape, meshes) for body in scene.bodies)
     renderer = _renderer(spec["renderer"]["name"], spec["renderer"].get("samples", SAMPLES))
     width, height = spec["resolution"]
@@ -190,6 +192,7 @@ def make_scene(
         sensor=recipe.sensor,
         rng=_rng(spec, split, index, "sensor"),
     )
+    # Edits and signals, which depend on the images.
     stage = stage_of(scene, shapes, trajectory)
     edits = edits_record(
         stage,

@@ -7,9 +7,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from datagen.config import Sensor
-from datagen.errors import UsageError
 from datagen.geometry import transform
-from datagen.render.renderer import Image, PathTracer, Renderer
+from datagen.render.renderer import Image, Renderer, render_clip, stack_images
 from datagen.scene import Body, Scene, Trajectory, plain, scene_from_json, scene_to_json
 from datagen.schema import FIELDS, SceneRecord, encode_depth
 from datagen.sensor import sense
@@ -140,13 +139,14 @@ def pixel_record(
     """
     images = render_clip(scene, shapes, trajectory.world_from_object, renderer, resolution)
     k = np.stack([camera.k(*resolution) for camera in scene.cameras])
+    # Pixels of each object, with and without the others in front of it.
     segmentation = stack_images(images, "segmentation")
     visible = visible_pixels(segmentation, len(shapes))
     amodal = stack_images(images, "amodal_pixels").astype(np.uint32)
     fraction = (visible / np.maximum(amodal, 1)).astype(np.float32)
     return {
         "rgb": stack_images(images, "rgb"),
-        "depth": stored_depth(stack_images(images, "depth")),
+        "depth": encode_depth(stack_images(images, "depth")),
         "segmentation": segmentation,
         **(_sensed(images, k, sensor, rng) if sensor.enabled else {}),
         "camera/K": k,
@@ -158,62 +158,13 @@ def pixel_record(
     }
 
 
-def render_clip(
-    scene: Scene,
-    shapes: Sequence[Shape],
-    world_from_object: Float[np.ndarray, "frame object 4 4"],
-    renderer: Renderer,
-    resolution: tuple[int, int],
-) -> list[list[Image]]:
-    """Render images of a given (width, height), indexed [frame][view]."""
-    renderer.load(scene, shapes)
-    return [
-        [renderer.render(pose, camera.at(frame), *resolution) for camera in scene.cameras]
-        for frame, pose in enumerate(world_from_object)
-    ]
-
-
-def photographs(
-    scene: Scene,
-    shapes: Sequence[Shape],
-    world_from_object: Float[np.ndarray, "frame object 4 4"],
-    renderer: PathTracer,
-    resolution: tuple[int, int],
-) -> UInt8[np.ndarray, "frame view height width 3"]:
-    """Path-trace the colours of the images that `render_clip` renders."""
-    renderer.load(scene, shapes)
-    return np.array(
-        [
-            [renderer.photograph(pose, camera.at(frame), *resolution) for camera in scene.cameras]
-            for frame, pose in enumerate(world_from_object)
-        ]
-    )
-
-
-def stack_images(images: list[list[Image]], name: str) -> np.ndarray:
-    """Stack one attribute of images indexed [frame][view] into an array."""
-    return np.array([[getattr(image, name) for image in views] for views in images])
-
-
-def stored_depth(depth: np.ndarray) -> np.ndarray:
-    """Convert depth in metres to the format's units.
-
-    Raises:
-        UsageError: a depth is farther than the format can hold.
-    """
-    try:
-        return encode_depth(depth)
-    except ValueError as error:
-        raise UsageError(str(error)) from None
-
-
 def _sensed(images: list[list[Image]], k: np.ndarray, sensor: Sensor, rng: np.random.Generator) -> SceneRecord:
     pairs = [
         [sense(image.depth, image.rgb, k[view], sensor, rng) for view, image in enumerate(views)] for views in images
     ]
     depth = np.array([[depth for depth, _ in views] for views in pairs])
     valid = np.array([[valid for _, valid in views] for views in pairs], np.uint8)
-    return {"sensor_depth": stored_depth(depth), "sensor_valid": valid}
+    return {"sensor_depth": encode_depth(depth), "sensor_valid": valid}
 
 
 def visible_pixels(segmentation: UInt8[np.ndarray, "frame view height width"], objects: int) -> np.ndarray:

@@ -76,6 +76,7 @@ def write_shard(folder: Path, spec: Spec, task: ShardTask, new: Sequence[PackedS
     if task.kept:
         with closing(Shard(folder, spec, task.split, task.number)) as shard:
             kept = [shard.packed(row) for row in range(len(task.kept))]
+    # The new shard, in memory.
     settings = settings_hash(spec)
     attributes = {
         "data_version": spec["data_version"],

@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from datagen import shapes as shape_families
 from datagen.config import Recipe
 from datagen.errors import ImpossibleScene, UsageError
 from datagen.meshes.library import Library
 from datagen.physics.bullet import World
-from datagen.pipeline.visible_range import near_object, table_fault
 from datagen.random_streams import scene_rng
-from datagen.render.raster import RasterRenderer
 from datagen.render.renderer import NEAREST
+from datagen.render.visible_range import near_object, table_fault, visible_pixels
 from datagen.sampling import Rejected, sample_scene
 from datagen.sampling.cameras import sample_cameras
 from datagen.scene import Camera, Scene, Trajectory
@@ -86,10 +84,12 @@ def simulate_scene(
         ImpossibleScene: no scene that keeps the rules was found in `recipe.attempts` draws, or they came nowhere near.
         UsageError: the cameras cannot show the table, or PyBullet is not installed.
     """
+    # Refuse recipes that can only fail.
     rng = scene_rng(seed, split, index, "scene")
     part = recipe.for_scene(index)
     check_room(part)
     check_rig(part, cameras)
+    # Draw until a scene keeps all rules.
     rejections: Counter[str] = Counter()
     fitting: list[int] = []
     for attempt in range(1, recipe.attempts + 1):
@@ -182,25 +182,6 @@ def _surface_speed(start: Trajectory, shapes: Sequence[Shape]) -> np.ndarray:
     linear = np.sqrt(np.sum(start.linear_velocity[0] ** 2, axis=-1))
     angular = np.sqrt(np.sum(start.angular_velocity[0] ** 2, axis=-1))
     return linear + angular * np.array([shape.radius for shape in shapes])
-
-
-def visible_pixels(
-    recipe: Recipe, scene: Scene, shapes: Sequence[Shape], world_from_object: Float[np.ndarray, "object 4 4"]
-) -> Int[np.ndarray, "object"]:
-    """Pixels that each object shows at these poses in its worst view."""
-    renderer = _rasteriser()
-    renderer.load(scene, shapes)
-    width, height = recipe.visibility_resolution
-    counts = []
-    for camera in scene.cameras:
-        ids = renderer.segment(world_from_object, camera, width, height)
-        counts.append(np.bincount(ids.ravel(), minlength=len(shapes) + 1)[1:])
-    return np.min(counts, axis=0)
-
-
-@functools.cache
-def _rasteriser() -> RasterRenderer:
-    return RasterRenderer()
 
 
 @functools.lru_cache(maxsize=8)

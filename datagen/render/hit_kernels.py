@@ -71,6 +71,7 @@ def hit(
             continue
         tile = int(sy / TILE) * tiles_x + int(sx / TILE)
         best, nearest = 0.0, REACH
+        # Triangles whose boxes meet the tile of the point.
         for item in range(starts[tile], starts[tile + 1]):
             f = items[item]
             if owners[p] != ANY and face_owners[f] != owners[p]:
@@ -96,6 +97,7 @@ def hit(
                 best = depth
             else:
                 continue
+            # Weights of the corners, and the inverse depth that they interpolate.
             total = a + b + c
             face[p], inverse[p] = f, total * (1 / det)
             weights[p, 0], weights[p, 1], weights[p, 2] = a / total, b / total, c / total

@@ -113,6 +113,7 @@ class Projection:
         corners = self._screen[own.ravel()][self._homogeneous[own.ravel(), 2] > NEAR]
         if not len(corners):
             return np.zeros(0, int), np.zeros(0, int)
+        # Centres of the pixels in the box around the object.
         low = np.clip(np.floor(np.min(corners, axis=0) / SUB), 0, self._size).astype(int)
         high = np.clip(np.ceil(np.max(corners, axis=0) / SUB), 0, self._size).astype(int)
         x, y = (grid.ravel() for grid in np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1])))

@@ -569,6 +569,7 @@ def rasterise_light(light, faces, face_start, map):
     front, back, owner = map.texels[0], map.texels[1], map.texels[2]
     tiles, used = map.tiles, map.used
     tile = len(front) // len(tiles)
+    # Clear the tiles that the former map used.
     for y in range(len(tiles)):
         for x in range(len(tiles)):
             if used[y, x]:
@@ -577,6 +578,7 @@ def rasterise_light(light, faces, face_start, map):
                 for j in range(tile * y, tile * y + tile):
                     for i in range(tile * x, tile * x + tile):
                         front[j, i] = back[j, i] = owner[j, i] = FAR
+    # Draw all triangles: nearest fronts with their owners, and nearest backs.
     for o in range(len(face_start) - 1):
         for f in range(face_start[o], face_start[o + 1]):
             i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -597,6 +599,7 @@ def rasterise_light(light, faces, face_start, map):
             inverse = 1 / area
             du = ((dj - di) * (yk - yi) - (dk - di) * (yj - yi)) * inverse
             dv = ((dk - di) * (xj - xi) - (dj - di) * (xk - xi)) * inverse
+            # Edge functions, which are 0 or more inside, and their steps from texel to texel.
             facing = area > 0
             side = 1.0 if facing else -1.0
             ax, bx, cx = side * (yj - yk), side * (yk - yi), side * (yi - yj)
@@ -624,6 +627,7 @@ def rasterise_light(light, faces, face_start, map):
         for x in range(len(tiles)):
             if not used[y, x]:
                 continue
+            # Least depth of the tile, depth from which an object shades itself, and the only owner if there is one.
             least, own, first, alone = FAR, FAR, FAR, True
             for j in range(tile * y, tile * y + tile):
                 for i in range(tile * x, tile * x + tile):
@@ -633,6 +637,7 @@ def rasterise_light(light, faces, face_start, map):
                         first = owner[j, i] if first == FAR else first
                         alone &= owner[j, i] == first
             tiles[y, x, 0], tiles[y, x, 1], tiles[y, x, 2] = least, own, first if alone else NOTHING
+    # Numbers of used tiles above and left of each corner, for sums over rectangles.
     counts = map.counts
     for y in range(len(tiles)):
         row = 0
@@ -713,6 +718,7 @@ def _dark_share(front, back, owner, disc, u, v, d, du, dv, radius, receiver):
         fu, fv = min(max(u + su - 0.5, 0.0), last), min(max(v + sv - 0.5, 0.0), last)
         x, y = int(fu), int(fv)
         fu, fv = fu - x, fv - y
+        # Bilinear interpolation of the test at the four texels around the point.
         a = _blocks(front, back, owner, y, x, receiver, at)
         b = _blocks(front, back, owner, y, x + 1, receiver, at)
         top = a + fu * (b - a)
@@ -785,6 +791,7 @@ def _mirror(s, materials, row, q, n, e, roughness):
     toward = 2 * (n[0] * e[0] + n[1] * e[1] + n[2] * e[2])
     x, y, z = row.point[q, 0], row.point[q, 1], row.point[q, 2]
     rx, ry, rz = toward * n[0] - e[0], toward * n[1] - e[1], toward * n[2] - e[2]
+    # March along the mirrored ray, in growing steps, down to the ground, through the map of the objects' heights.
     least_x, least_y, scale = s.occlusion_frame[0], s.occlusion_frame[1], s.occlusion_frame[2]
     own, size = row.owner[q], len(s.occlusion)
     ground = -max(z, 0.0) / rz if rz < -0.02 else FAR
@@ -803,6 +810,7 @@ def _mirror(s, materials, row, q, n, e, roughness):
             return
         if t == ground:
             break
+    # Nothing was met: the table, if the ray goes down.
     if ground == FAR:
         return
     t = ground
@@ -833,8 +841,10 @@ def occlusion_map(texels, scale, length, occlusion):
                 continue
             height = max(low, 0.0)
             thickness = min(max(high - low, 0.0), 1.0)
+            # Objects that are near the table or thick take the most light.
             fade = length / (length + height)
             occlusion[y, x] = fade * fade * thickness / (thickness + 0.5 * length)
+    # Blur, as light from everywhere has no sharp shadow.
     a = 1 / (1 + 0.7 * length * scale)
     for _ in range(2):
         _smooth_columns(occlusion, a)

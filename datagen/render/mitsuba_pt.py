@@ -109,6 +109,7 @@ class MitsubaRenderer(RasterRenderer):
 
     def _build(self, pixel: float) -> tuple[dict[str, Any], "list[list[_Look]]"]:
         """Everything but cameras and poses, for images whose pixels show about `pixel` metres."""
+        # Meshes are as fine as the pixels, so that images of another scale need new ones.
         if self._built is None or not 0.8 < pixel / self._built[0] < 1.25:
             table = [_table(self._scene, pixel), _floor(self._scene, pixel)]
             fixed: dict[str, Any] = {
@@ -188,6 +189,7 @@ def _mesh(mi: Any, part: _Part, bsdf: Any, pose: Float[np.ndarray, "4 4"]) -> An
     )
     if part.colors is not None:
         mesh.add_attribute("vertex_color", 3, part.colors.astype(np.float32).ravel())
+    # Every triangle has corners of its own, as normals and colours differ between faces.
     values = mi.traverse(mesh)
     points = part.corners.reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
     values["vertex_positions"] = points.astype(np.float32).ravel()
@@ -265,8 +267,10 @@ def _sky(mi: Any, scene: Scene, turn: np.ndarray) -> dict[str, Any]:
     polar, turned = np.pi * (np.arange(rows) + 0.5) / rows, 2 * np.pi * (np.arange(columns) + 0.5) / columns
     polar, turned = np.meshgrid(polar, turned, indexing="ij")
     directions = np.stack([np.sin(polar) * np.sin(turned), np.sin(polar) * np.cos(turned), np.cos(polar)], axis=-1)
+    # Ambient light; below the horizon it is that of the horizon.
     upward = directions * [1, 1, 0] + np.maximum(directions, 0.0) * [0, 0, 1]
     image = kernels.sky(turn, upward.reshape(-1, 3), 0.01).reshape(rows, columns, 1) * np.array(scene.ambient)
+    # Discs of the lights, scaled to an irradiance of pi times the radiance on a facing surface.
     for light in scene.lights:
         radius = max(light.angular_radius, np.pi / rows) if light.casts_shadow else WIDE_LIGHT
         cosine = directions @ light_axes(light.direction)[2]

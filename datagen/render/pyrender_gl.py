@@ -66,8 +66,9 @@ class PyrenderRenderer:
     ) -> Image:
         """Render the loaded scene with its objects at the given poses."""
         self._place(world_from_object, camera, width, height)
+        flags = self._pyrender.RenderFlags.SHADOWS_DIRECTIONAL if self._shadows else self._pyrender.RenderFlags.NONE
         with _numpy_infty():
-            rgb, _ = self._context.render(self._scene, flags=self._color_flags())
+            rgb, _ = self._context.render(self._scene, flags=flags)
             ids, depth = self._segment({node: row + 1 for row, node in enumerate(self._nodes)} | {self._table: 0})
             amodal = [np.count_nonzero(self._segment({node: 1})[0]) for node in self._nodes]
         return Image(rgb.copy(), depth.copy(), ids.copy(), np.array(amodal, np.int64))
@@ -88,10 +89,6 @@ class PyrenderRenderer:
         colors = {node: (number, 0, 0) for node, number in ids.items()}
         image, depth = self._context.render(self._scene, flags=self._pyrender.RenderFlags.SEG, seg_node_map=colors)
         return image[..., 0], depth
-
-    def _color_flags(self) -> int:
-        flags = self._pyrender.RenderFlags
-        return flags.SHADOWS_DIRECTIONAL if self._shadows else flags.NONE
 
     def _shape(self, shape: Shape, material: Material) -> Any:
         if material.pattern == "image" and shape.skin is not None:
@@ -136,6 +133,7 @@ class PyrenderRenderer:
         *,
         double_sided: bool = False,
     ) -> Any:
+        # Patterns become colours of vertices, on a mesh that is fine enough.
         color, colors = linear(material.color), None
         if material.pattern != "plain":
             corners, normals = refine(corners, normals, material.period / COLORS_PER_PERIOD)

@@ -36,9 +36,11 @@ class RasterRenderer:
 
     def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
         """Load a scene's materials, lights and shapes; rows follow `scene.bodies`."""
+        # Geometry of all objects in common arrays.
         self._mesh, self._vertex_start, self._face_start = _pack_mesh(shapes)
         self._skins = _pack_skins(shapes, self._face_start)
         self._casters, self._caster_start = _casters(shapes, self._mesh.faces, self._face_start)
+        # Materials and lights.
         materials = *(b.material for b in scene.bodies), scene.table.material
         self._materials = np.array([_pack_material(x, self._rich) for x in materials])
         self._table_half = 0.5 * scene.table.size
@@ -46,10 +48,12 @@ class RasterRenderer:
         self._ambient = np.array(scene.ambient, np.float64)
         self._ground, self._arriving = _ground(scene)
         self._backdrop = linear(scene.backdrop)
+        # The first light casts the shadows.
         self._shadows = bool(shapes and scene.lights and scene.lights[0].casts_shadow)
         self._key_axes = light_axes(scene.lights[0].direction) if scene.lights else np.eye(3)
         angle = np.arctan2(self._key_axes[2, 1], self._key_axes[2, 0])
         self._turn = np.array([np.cos(angle), np.sin(angle)])
+        # Positions for each call, in the world, the camera, the light and the image.
         count = len(self._mesh.vertices)
         self._world, self._homogeneous, self._light = (np.zeros((count, 3)) for _ in range(3))
         self._screen = np.zeros((count, 2))
@@ -58,6 +62,7 @@ class RasterRenderer:
         self, world_from_object: Float[np.ndarray, "object 4 4"], camera: Camera, width: int, height: int
     ) -> Image:
         """Render the loaded scene with its objects at the given poses."""
+        # Visibility, then colours, depths and ids of the visible triangles.
         poses, buffers, view = self._place(world_from_object, camera, width, height)
         amodal = self._visibility(view, buffers)
         image = Image(
@@ -131,6 +136,7 @@ class RasterRenderer:
 
     def _surroundings(self, buffers: "_Buffers") -> kernels.Surroundings:
         below = buffers.below
+        # Darkness of the ambient light around the foot of objects; rich pictures add a narrow contact shadow.
         if len(self._world):
             self._light_map(below, margin=4 * kernels.AO_LENGTH)
             kernels.occlusion_map(below.texels, below.frame[2], kernels.AO_LENGTH, buffers.occlusion)
@@ -187,22 +193,7 @@ def _row(width: int) -> kernels.Row:
     at, point, normal, look, light, color, albedo, mirrored = (np.empty((count, 3)) for _ in range(8))
     total = np.empty((width, 3))
     return kernels.Row(
-        kind,
-        owner,
-        pixel,
-        share,
-        at,
-        point,
-        normal,
-        look,
-        second,
-        albedo,
-        light,
-        blur,
-        color,
-        total,
-        mirrored,
-        fade,
+        kind, owner, pixel, share, at, point, normal, look, second, albedo, light, blur, color, total, mirrored, fade
     )
 
 
@@ -242,6 +233,7 @@ def _pack_mesh(shapes: Sequence[Shape]) -> tuple[kernels.Mesh, np.ndarray, np.nd
     normals = np.concatenate([np.zeros((0, 3, 3)), *(s.normals for s in shapes)])
     faces = faces.astype(np.int32)
     a, b, c = (vertices[faces[:, i]] for i in range(3))
+    # Unit normals of the faces; faces without area have none.
     across = cross(b - a, c - a)
     length = np.sqrt(np.sum(across * across, axis=1, keepdims=True))
     mesh = kernels.Mesh(
@@ -271,6 +263,7 @@ def _pack_skins(shapes: Sequence[Shape], face_start: np.ndarray) -> kernels.Skin
     count = int(face_start[-1])
     uv, colors = np.zeros((count, 3, 2), np.float32), np.zeros((count, 3, 3), np.float32)
     density, texture = np.zeros(count, np.float32), np.zeros(count, np.int32)
+    # Pyramids of images in one array of texels; `levels` says where each pyramid starts.
     levels, images, texels = [0], [], [np.zeros((0, 3), np.uint8)]
     for skin, start, end in zip(skins, face_start[:-1], face_start[1:], strict=True):
         if skin is None:

@@ -71,3 +71,40 @@ def light_axes(direction: Vector) -> Float[np.ndarray, "3 3"]:
     u = side - np.sum(side * toward) * toward
     u = u / np.sqrt(np.sum(u * u))
     return np.stack([u, cross(toward, u), toward])
+
+
+def render_clip(
+    scene: Scene,
+    shapes: Sequence[Shape],
+    world_from_object: Float[np.ndarray, "frame object 4 4"],
+    renderer: Renderer,
+    resolution: tuple[int, int],
+) -> list[list[Image]]:
+    """Render images of a given (width, height), indexed [frame][view]."""
+    renderer.load(scene, shapes)
+    return [
+        [renderer.render(pose, camera.at(frame), *resolution) for camera in scene.cameras]
+        for frame, pose in enumerate(world_from_object)
+    ]
+
+
+def photographs(
+    scene: Scene,
+    shapes: Sequence[Shape],
+    world_from_object: Float[np.ndarray, "frame object 4 4"],
+    renderer: PathTracer,
+    resolution: tuple[int, int],
+) -> UInt8[np.ndarray, "frame view height width 3"]:
+    """Path-trace the colours of the images that `render_clip` renders."""
+    renderer.load(scene, shapes)
+    return np.array(
+        [
+            [renderer.photograph(pose, camera.at(frame), *resolution) for camera in scene.cameras]
+            for frame, pose in enumerate(world_from_object)
+        ]
+    )
+
+
+def stack_images(images: list[list[Image]], name: str) -> np.ndarray:
+    """Stack one attribute of images indexed [frame][view] into an array."""
+    return np.array([[getattr(image, name) for image in views] for views in images])

@@ -54,7 +54,7 @@ MOST_SCENES = 1_000_000
 
 _MOST_SCENES_PER_SHARD = 64
 _MOST_BYTES_PER_SHARD = 2**30
-_MOST_PIXELS = MOST_ARRAY_BYTES // 3
+MOST_PIXELS = MOST_ARRAY_BYTES // 3
 """Largest number of pixels of a scene: its colours are read as one array."""
 _BYTES_PER_PIXEL = 9  # rgb, depth, segmentation, sensor depth and validity
 _BYTES_PER_EDITED_PIXEL = 7  # rgb, depth, segmentation, effects
@@ -220,8 +220,8 @@ def read_spec(folder: Path) -> Spec:
         raise CorruptFile(f"{path} is no spec: {', '.join(wrong)} missing or malformed. {_MEND}")
     if any((spec.get(key) is not None) != is_imported(spec) for key in ("import", "fields")):
         raise CorruptFile(f"{path} is no spec: its generator does not fit its keys. {_MEND}")
-    if _pixels(spec["recipe"], spec["rig"], spec["resolution"]) > _MOST_PIXELS:
-        raise CorruptFile(f"{path} is no spec: its scenes have more than {_MOST_PIXELS:,} pixels. {_MEND}")
+    if _pixels(spec["recipe"], spec["rig"], spec["resolution"]) > MOST_PIXELS:
+        raise CorruptFile(f"{path} is no spec: its scenes have more than {MOST_PIXELS:,} pixels. {_MEND}")
     return spec
 
 
@@ -351,11 +351,11 @@ def _is_name(value: Any) -> bool:
 
 
 def _is_size(value: Any) -> bool:
-    return type(value) is list and len(value) == 2 and all(_is_number(side, 1, _MOST_PIXELS) for side in value)
+    return type(value) is list and len(value) == 2 and all(_is_number(side, 1, MOST_PIXELS) for side in value)
 
 
 def _has_views(values: Mapping[str, Any]) -> bool:
-    return _is_number(values["views"], 1, _MOST_PIXELS)
+    return _is_number(values["views"], 1, MOST_PIXELS)
 
 
 def _is_asset(asset: Mapping[str, Any]) -> bool:
@@ -376,7 +376,7 @@ def _is_camera(view: Mapping[str, Any]) -> bool:
 def _is_recipe(recipe: Mapping[str, Any]) -> bool:
     return (
         all(_is_name(name) for name in (recipe["name"], recipe["description"], *recipe["parts"]))
-        and _is_number(recipe["frames"], 1, _MOST_PIXELS)
+        and _is_number(recipe["frames"], 1, MOST_PIXELS)
         and _has_views(recipe)
         and _is_size(recipe["resolution"])
         and 0.001 <= recipe["fps"] <= 1e6

@@ -25,14 +25,14 @@ class UnknownKeys(ValueError):
 
 
 @functools.cache
-def strict_converter(largest: float = math.inf) -> Converter:
+def strict_converter(largest: float = math.inf, *, to_float: bool = False) -> Converter:
     """Make a converter that neither converts values nor ignores keys; whole numbers may stand for other numbers.
 
-    `largest` is the largest absolute value of a number.
+    `largest` is the largest absolute value of a number. `to_float` makes floats of these whole numbers.
     """
     converter = Converter()
     for kind in _NAMES:
-        converter.register_structure_hook(kind, _plain_hook(kind, largest))
+        converter.register_structure_hook(kind, _plain_hook(kind, largest, to_float=to_float))
     converter.register_structure_hook_factory(lambda kind: get_origin(kind) is Literal, _literal_hook)
     converter.register_structure_hook_factory(lambda kind: get_origin(kind) is tuple, _tuple_hook)
     converter.register_structure_hook_factory(dataclasses.is_dataclass, _dataclass_hook)
@@ -63,7 +63,7 @@ def _describe(error: BaseException, kind: Any) -> str:
     return str(error) if type(error) is ValueError else format_exception(error, kind)
 
 
-def _plain_hook(kind: type, largest: float) -> Callable[[Any, Any], Any]:
+def _plain_hook(kind: type, largest: float, *, to_float: bool) -> Callable[[Any, Any], Any]:
     allowed = (int, float) if kind is float else (kind,)
 
     def check(value: Any, _kind: Any) -> Any:
@@ -71,7 +71,7 @@ def _plain_hook(kind: type, largest: float) -> Callable[[Any, Any], Any]:
             raise ValueError(f"{_brief(value)}, expected {_NAMES[kind]}")
         if isinstance(value, int | float) and not abs(value) <= largest:
             raise ValueError(f"{_brief(value)}, expected a number up to {largest:g}")
-        return value
+        return kind(value) if to_float else value
 
     return check
 

@@ -104,8 +104,10 @@ class Ogc(ContactModel):
         single = (self.masks(images).argmax(dim=1).cpu().numpy() + 1) * standing
         points = rearrange(unproject(observation).cpu().numpy(), "b f v h w c -> (b f v) h w c")
         colours = COLOUR_SCALE * rearrange(images.rgb.cpu().numpy(), "i c h w -> i h w c")
+        # Foreground points and objects of each image.
         clouds = [Cloud(p[seen], c[seen]) for p, c, seen in zip(points, colours, standing, strict=True)]
         objects = [found[seen] - 1 for found, seen in zip(single, standing, strict=True)]
+        # Follow the objects through each clip.
         over_time, count = np.zeros_like(single), len(single) // len(observation.depth)
         for first in range(0, len(single), count):
             clip = slice(first, first + count)

@@ -17,9 +17,10 @@ from datagen.console.text import counted
 from datagen.storage.atomic import check_new_file, check_new_folder, new_file
 from obpose.commands.edit_arguments import Add, FitPrior, Infer, Mesh, Move, Render, Rotate, Sample
 from obpose.data.datasets import SceneDataset
-from obpose.data.resolution import spacing_note
 from obpose.errors import Interrupted, UsageError
-from obpose.rgbd.frames import prepare_frames, trained_on
+from obpose.model.resolution import spacing_note
+from obpose.rgbd.frames import prepare, trained_on
+from obpose.rgbd.reading import read_frames
 from obpose.rgbd.weights import DEFAULT, segment_clip, segment_reduced
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import strength
@@ -76,7 +77,7 @@ def infer(values: Infer) -> None:
         scene = replace(scene, clip=name_clip(*place))
     else:
         # Frames of the user.
-        frames = prepare_frames(values, trained_on(origin.model.config))
+        frames = prepare(read_frames(values), values, trained_on(origin.model.config))
         check_new_folder(values.out)
         if frames.moves:
             raise UsageError("The camera moves in these frames; expected frames of a static camera, or a single one.")

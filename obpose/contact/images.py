@@ -122,12 +122,14 @@ def cropped(images: Images, size: int, generator: torch.Generator | None) -> Ima
         return images
     places = []
     for axis, length in ((2, height), (1, width)):
+        # First and last row or column with an object.
         occupied = (images.labels > 0).any(dim=axis)
         edge = min(size, length)
         index = torch.arange(length, device=occupied.device)
         first = torch.where(occupied, index, length).amin(dim=1)
         last = torch.where(occupied, index, -1).amax(dim=1)
         empty = last < 0
+        # Range of the starts of windows that hold both.
         low = torch.where(empty, 0, (last + 1 - edge).clamp(0, length - edge))
         high = torch.where(empty, length - edge, first.clamp(0, length - edge))
         low, high = torch.minimum(low, high), torch.maximum(low, high)

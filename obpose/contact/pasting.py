@@ -130,6 +130,7 @@ class PastedClips:
         if frames != 1:
             raise UsageError(f"Pasted images are single frames; expected train.frames=1, not {frames}.")
         rng = training_rng(self._seed, "pasted image", index, start)
+        # Paste objects of other images next to those of this one.
         scene = self._scene(index)
         for _ in range(rng.choice(PASTED) if scene.count else 0):
             other = self._scene(int(rng.integers(len(self))))
@@ -182,6 +183,7 @@ class ClipsWithPasted:
         places = rng.integers(
             (len(self), self._pasted.frames_of_clip), size=(round(IMAGES_PER_FRAME * frames), 2)
         ).tolist()
+        # Pasted images, whose contacts are known.
         images = [self._pasted.window(other, first, 1) for other, first in places]
         pasted = {name: torch.stack([image[name] for image in images]) for name in images[0]}
         window = self._source.window(index, start, frames)
@@ -282,6 +284,7 @@ def paste(scene: PseudoScene, cutout: Cutout, rng: np.random.Generator) -> Pseud
     if rng.random() < 0.5:
         # Colour alone must not tell the two apart.
         rgb = np.clip(rgb * (scene.rgb[target].mean(axis=0) / (rgb.mean(axis=0) + 0.02)), 0, 1).astype(np.float32)
+    # Try places at about the distance at which the two touch.
     sizes = np.sqrt(len(cutout.rows)) + np.sqrt(np.count_nonzero(target))
     middle = np.array([np.nonzero(target)[axis].mean() for axis in (0, 1)])
     own = np.array([cutout.rows.mean(), cutout.columns.mean()])
@@ -303,9 +306,11 @@ def _paste_at(scene: PseudoScene, cutout: Cutout, shift: np.ndarray, own: Float[
     slope = float(scene.slope(*(own + shift)))
     if slope >= 0:
         return None  # above the horizon
+    # Depth at which the object keeps its height; its size in pixels is not changed, so it must be similar.
     distance, mean = (cutout.height - scene.world_from_camera[2, 3]) / slope, cutout.depth.mean()
     if abs(distance / mean - 1) > LARGEST_SCALING:
         return None
+    # Hide what is behind, but never most of the pasted object or of another one.
     depth = cutout.depth + np.float32(distance - mean)
     behind = scene.depth[rows, columns]
     nearer = (depth < behind) | (behind == 0)

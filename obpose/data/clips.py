@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Protocol, TypeVar, runtime_checkable
 
-import numpy as np
 import torch
 from einops import rearrange
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Int
 from torch import Tensor
 
 from datagen.console.text import counted
+from datagen.rgbd.clip import Clip
 from obpose.errors import UsageError
 from obpose.types import Observation
 
@@ -42,46 +42,6 @@ class ClipSource(Protocol):
         ...
 
 
-@runtime_checkable
-class ArrayClip(Protocol):
-    """A clip as arrays, such as `benchmark.models.interface.Clip`."""
-
-    @property
-    def rgb(self) -> UInt8[np.ndarray, "frame view height width 3"]:
-        """Colour images in sRGB, 0 to 255."""
-        ...
-
-    @property
-    def depth(self) -> Float[np.ndarray, "frame view height width"]:
-        """Planar z in metres, 0 where there is no return."""
-        ...
-
-    @property
-    def valid(self) -> Bool[np.ndarray, "frame view height width"]:
-        """Whether the pixel has a depth."""
-        ...
-
-    @property
-    def k(self) -> Float[np.ndarray, "view 3 3"]:
-        """Camera matrices in pixels."""
-        ...
-
-    @property
-    def world_from_camera(self) -> Float[np.ndarray, "view 4 4"]:
-        """Camera poses, translation in metres."""
-        ...
-
-
-@runtime_checkable
-class LabelledArrayClip(ArrayClip, Protocol):
-    """A clip as arrays with ground-truth labels, or None instead of labels."""
-
-    @property
-    def truth(self) -> UInt8[np.ndarray, "frame view height width"] | None:
-        """Object ids, 0 = background."""
-        ...
-
-
 def check_window(start: int, frames: int, clip_frames: int) -> None:
     """Check that a window lies inside a clip.
 
@@ -96,9 +56,9 @@ def check_window(start: int, frames: int, clip_frames: int) -> None:
 
 
 class ArrayClips:
-    """A source over a sequence of `ArrayClip`, read on demand."""
+    """A source over a sequence of clips, read on demand."""
 
-    def __init__(self, clips: Sequence[ArrayClip]):
+    def __init__(self, clips: Sequence[Clip]):
         self._clips = clips
 
     @property
@@ -135,17 +95,13 @@ class ArrayClips:
 class LabelledArrayClips(ArrayClips):
     """A source that adds ground-truth labels, for models trained with supervision."""
 
-    def __init__(self, clips: Sequence[LabelledArrayClip]):
-        super().__init__(clips)
-        self._labelled = clips
-
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
         """Read `frames` consecutive frames of a clip, with `segmentation`.
 
         Raises:
             UsageError: the clip has no labels, or no such frames.
         """
-        truth = self._labelled[index].truth
+        truth = self._clips[index].truth
         if truth is None:
             raise UsageError(f"Clip {index} has no labels, which this model learns from; give it clips with labels.")
         labels = torch.from_numpy(truth[start : start + frames]).to(torch.int64)

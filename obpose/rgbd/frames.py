@@ -10,10 +10,10 @@ from jaxtyping import Float64
 from datagen.geometry import unproject
 from obpose.config import Config
 from obpose.contact.config import ContactConfig
-from obpose.data.resolution import surface_spacing
 from obpose.errors import NoTable, UsageError
+from obpose.model.resolution import surface_spacing
 from obpose.rgbd.frame_arguments import Frames
-from obpose.rgbd.reading import parse_pixel, parse_rectangle, read_frames
+from obpose.rgbd.reading import parse_pixel, parse_rectangle
 from obpose.rgbd.recording import Recording
 from obpose.rgbd.workspace import UNSUPPORTED, Workspace, doubts, find_workspace, rectangle
 from obpose.rgbd.world import World, choose_world, table_clouds, table_frames
@@ -98,17 +98,6 @@ class PreparedFrames:
         pose = torch.from_numpy(self.world.poses[frame]).to(torch.float32)[None, None]
         images = {name: getattr(clip, name)[:, pick] for name in ("rgb", "depth", "valid")}
         return replace(clip, **images, world_from_camera=pose)
-
-
-def prepare_frames(frames: Frames, trained: Trained) -> PreparedFrames:
-    """Read frames, find the table, and choose the resolution for a model.
-
-    Raises:
-        UsageError: flags or files are missing or wrong, contradict each other, or hold no depth.
-        NoTable: the frames show no table, or nothing within the workspace.
-        CorruptFile: a file cannot be read.
-    """
-    return prepare(read_frames(frames), frames, trained)
 
 
 def prepare(recording: Recording, frames: Frames, trained: Trained) -> PreparedFrames:

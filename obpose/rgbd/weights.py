@@ -9,10 +9,10 @@ from torch import Tensor
 
 from obpose.contact.model import ContactModel
 from obpose.contact.scene_model import ContactObPose
-from obpose.data.resolution import fitting_model
 from obpose.errors import UsageError
 from obpose.model.attention.icsbp import ICSBP
 from obpose.model.obpose import ObPose
+from obpose.model.resolution import fitting_model
 from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.frames import PreparedFrames, Trained, prepare, trained_on
 from obpose.rgbd.segment import Labels, Method, segment_frames

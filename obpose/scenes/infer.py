@@ -7,10 +7,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from obpose.data.clips import select_part
-from obpose.data.resolution import fitting_model
 from obpose.geometry import sides_of_points, unproject
 from obpose.model.attention.given import Labels
 from obpose.model.obpose import ObPose
+from obpose.model.resolution import fitting_model
 from obpose.scenes.appearance import no_appearance
 from obpose.scenes.appearance.find_light import find_light
 from obpose.scenes.appearance.find_table_texture import find_texture

@@ -40,17 +40,20 @@ def refine(model: ObPose, observation: Observation, scene: Scene, *, steps: int)
     The observation is a batch of one clip, with as many frames as the scene. 0 steps change nothing.
     """
     loss, noise = model.config.loss, torch.Generator().manual_seed(0)
+    # Adam with a rate for each kind of value, and cosine decay.
     start = (scene.what, scene.background, scene.center, scene.appearance.detail)
     leaves = [value.clone().requires_grad_() for value in start]
     rates = (LATENT_STEP, LATENT_STEP, PLACE_STEP, DETAIL_STEP)
     optimiser = torch.optim.Adam([{"params": [leaf], "lr": rate} for leaf, rate in zip(leaves, rates, strict=True)])
     fall = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(1, steps))
+    # Half of the rays show objects, which cover few pixels.
     decoding, pixels = fields_of(model, _with(scene, leaves)), max(1, int(observation.valid.sum()))
     shown = _shows_objects(observation, decoding)
     count = max(LEAST_RAYS, min(RAYS, RAYS_OF_CLIP // scene.frames))
     with torch.enable_grad():
         for _ in range(steps):
             rays = sample_rays_where(observation, count, shown, share=0.5, generator=noise)
+            # L_obs (paper, eq. 9) and the smoothness of the details.
             terms = observation_terms(fields_along(rays, decoding, noise), loss)
             total = terms["colour"] + terms["surface"] + AIR * terms["air"]
             total = total + roughness(leaves[-1], neighbours=NEIGHBOURS, size=SIZE) / pixels

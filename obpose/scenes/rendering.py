@@ -107,10 +107,12 @@ class Renderer:
         if not len(shown) or not (has_texture or has_shadows):
             return picture.colour
         share = share[shown, None]
+        # Surface points of the background, and its share of their colours.
         surface = camera.world_from_camera[:3, 3] + picture.depths[0, shown, None] / share * direction[shown]
         before = picture.colours[0, shown]
         after = before
         if has_texture:
+            # Textures are added to the logits of the colours.
             texture = texture_at(self.model, scene.appearance.texture, surface)
             after = share * torch.sigmoid(torch.logit(before / share, eps=_LEAST_COLOUR) + texture)
         if has_shadows:

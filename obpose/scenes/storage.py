@@ -98,6 +98,7 @@ def load_scene(folder: Path) -> Scene:
         UsageError: there is no scene, or its version is unknown.
         CorruptFile: a file is damaged.
     """
+    # Facts, as a dataclass with strict types.
     path = folder / FACTS
     if not path.is_file():
         raise UsageError(f"{folder} holds no scene: there is no {FACTS}. obpose-edit infer and sample make one.")
@@ -110,6 +111,7 @@ def load_scene(folder: Path) -> Scene:
         _check_facts(facts, plain)
     except ValueError as error:
         raise CorruptFile(f"{path} is damaged ({brief_reason(error)}); {_AGAIN}") from None
+    # Tensors, whose shapes follow from the facts.
     if not (folder / TENSORS).is_file():
         raise CorruptFile(f"{folder / TENSORS} is missing, though there is a {FACTS}; {_AGAIN}")
     expect = partial(_expected_file, len(facts.objects), len(facts.images))
@@ -171,6 +173,7 @@ def _expected_file(objects: int, cameras: int, found: Forms) -> Forms:
         "k": (cameras, 3, 3),
         "world_from_camera": (cameras, 4, 4),
     }
+    # Tensors that older versions did not write.
     later = {
         "detail": (objects, EDGE, EDGE, EDGE, 4),
         "alone": (objects,),

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 
-from torch import Tensor, nn
+from torch import nn
 
 from obpose.errors import Diverged
 
@@ -51,12 +51,9 @@ def check_validation(losses: Mapping[str, float], *, step: int) -> None:
 
 
 def _gradients(parameters: Iterable[tuple[str, nn.Parameter]]) -> str:
-    wrong = [name for name, parameter in parameters if not _is_finite(parameter.grad)]
+    grads = {name: parameter.grad for name, parameter in parameters}
+    wrong = [name for name, grad in grads.items() if grad is not None and not grad.isfinite().all()]
     if not wrong:
         return "the losses are finite, but not the norm of the gradients"
     more = f" and {len(wrong) - _NAMED} more" if len(wrong) > _NAMED else ""
     return f"the losses are finite, but not the gradients of {', '.join(wrong[:_NAMED])}{more}"
-
-
-def _is_finite(gradient: Tensor | None) -> bool:
-    return gradient is None or bool(gradient.isfinite().all())

@@ -54,11 +54,13 @@ class Learner:
         tensors = {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}
         noise = noise_of(step, seed=self._config.seed, process=self._fabric.global_rank, device=device)
         terms: dict[str, Tensor] = self._module(tensors, step=step, fraction=fraction, generator=noise)
+        # Backward pass; means over processes are for the record.
         self._fabric.backward(terms["total"])
         norm = self._clip()
         values = torch.stack([term.detach().float() for term in terms.values()])
         *losses, gradient_norm = torch.cat([mean_over_processes(self._fabric, values), norm[None]]).tolist()
         result = StepResult(dict(zip(terms, losses, strict=True)), gradient_norm)
+        # Check before the weights change.
         check_finite(result.losses, gradient_norm, self.model.named_parameters(), step=step + 1)
         self._optimizer.step()
         return result

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from datagen import schema
+from datagen.errors import UsageError
 from tests.worlds.generated import random_record
 
 ALL = ("simulation", "pixels", "sensor", "moving_camera", *schema.EDITS, *schema.SIGNALS)
@@ -60,7 +61,7 @@ def test_depth_survives_within_half_a_unit():
 
 @pytest.mark.parametrize("depth", [-1e-6, schema.MAX_DEPTH + 1e-3, np.nan, np.inf])
 def test_a_depth_that_does_not_fit_is_an_error(depth: float):
-    with pytest.raises(ValueError, match="do not fit"):
+    with pytest.raises(UsageError, match="do not fit"):
         schema.encode_depth(np.array([1.0, depth]))
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from jaxtyping import Float, Integer
 
+from benchmark.models.editor_interface import Picture
 from benchmark.models.interface import Clip
-from benchmark.tasks.editing.interface import Picture
 from datagen.schema import EditKind
 from obpose.data.clips import ArrayClips, observation_of
 from obpose.scenes import edit
@@ -20,7 +20,7 @@ from obpose.training.devices import keep_memory
 
 
 class SceneEditor:
-    """A model from a checkpoint; implements `benchmark.tasks.editing.interface.Editor`."""
+    """A model from a checkpoint; implements `benchmark.models.editor_interface.Editor`."""
 
     def __init__(self, checkpoint: Path, *, refinements: int = 0):
         """Load a model; `refinements` is the number of steps that fit inferred scenes to their frames."""
@@ -38,7 +38,7 @@ class SceneEditor:
 
 
 class InferredScene:
-    """Scene inferred from a clip; implements `benchmark.tasks.editing.interface.EditableScene`."""
+    """Scene inferred from a clip; implements `benchmark.models.editor_interface.EditableScene`."""
 
     def __init__(self, inferred: Inferred, renderer: Renderer):
         self._scene, self._renderer = inferred.scene, renderer

@@ -17,10 +17,10 @@ from benchmark.models.validation import ValidationScorer
 from benchmark.results.reconstructions import SIDE
 from datagen.errors import UsageError
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, select_part, separate_views
-from obpose.data.resolution import fitting_model
 from obpose.data.scene_stats import measure_scene
 from obpose.geometry import sides_of_points, unproject
 from obpose.model.obpose import ObPose
+from obpose.model.resolution import fitting_model
 from obpose.pictures import to_bytes
 from obpose.rgbd.weights import look_for
 from obpose.scenes.infer import infer_scene

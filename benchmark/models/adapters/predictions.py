@@ -5,8 +5,8 @@ DIR/test/00017/view0_frame003.png ...... eight bits, grey or palette: a pixel's 
 DIR/labels.h5 .......................... `labels` [scene frame view height width], `background_slots` [scene]
 
 The first and the last may hold poses: the arrays `center`, `rotation` and `size` of `benchmark.models.interface.Poses`
-of a scene, or the group that `benchmark.results.poses` writes. Headers and small arrays are checked before any scene is
-scored.
+of a scene, or the group that `benchmark.models.pose_file` writes. Headers and small arrays are checked before any
+scene is scored.
 """
 
 import functools
@@ -24,7 +24,7 @@ from jaxtyping import UInt8
 
 from benchmark.models.contract import ARRAYS, pose_fault
 from benchmark.models.interface import LARGEST_LABEL, Clip, Poses, Prediction
-from benchmark.results.poses import GROUP, Order, StoredPoses, poses_in
+from benchmark.models.pose_file import GROUP, Order, StoredPoses, poses_in
 from datagen.errors import UsageError
 from datagen.storage.safe_io import file_version, hdf5_dataset, npz_headers, open_hdf5, open_image, read_hdf5, read_npz
 

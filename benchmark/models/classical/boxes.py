@@ -11,12 +11,12 @@ import numpy as np
 import scipy
 from jaxtyping import Float, Int64
 
-from benchmark.clips import visible_centers
 from benchmark.metrics.box_overlap import Box
+from benchmark.metrics.poses import Poses, visible_centers
 from benchmark.models.classical.oracles import truth_of
 from benchmark.models.classical.plane_hdbscan import PlaneHdbscan
 from benchmark.models.classical.points import Untrained
-from benchmark.models.interface import Clip, Poses, Prediction
+from benchmark.models.interface import Clip, Prediction
 from datagen.shapes.geometry.bounding import Outline, minimum_box
 
 LEAST_POINTS = 4
@@ -53,7 +53,7 @@ class OracleVisibleMeans(Untrained):
     def segment(self, clip: Clip) -> Prediction:
         """Return the ground truth, with means per view."""
         labels = truth_of(clip)
-        centers = visible_centers(clip, labels, int(labels.max()))
+        centers = visible_centers(clip.points(), clip.valid, labels, int(labels.max()))
         nowhere = np.full((*centers.shape[:2], 1, 3), np.nan)
         return Prediction(labels, background_slot=0, poses=Poses(np.concatenate([nowhere, centers], axis=2)))
 

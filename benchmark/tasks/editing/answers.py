@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Integer
 
 from benchmark.metrics import clip_scores, mean_where_defined
 from benchmark.metrics.images import psnr
-from benchmark.tasks.editing.interface import EditableScene, Picture
+from benchmark.models.editor_interface import EditableScene, Picture
 from benchmark.tasks.editing.truth import EditedScene, Pair
 
 METRICS = ("psnr_inside", "psnr_shadow", "psnr_outside", "depth_inside", "depth_outside", "ari_fg", "ari")

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmark.clips import ClipSequence
+from benchmark.models.editor_interface import Editor
 from benchmark.models.interface import Clip
 from benchmark.results.scoring import SPLIT
 from benchmark.tasks.editing.answers import Answer, answers_of, reference_answers
-from benchmark.tasks.editing.interface import Editor
 from benchmark.tasks.editing.lines import line_of, line_without_edit, load_lines, path_of, save_lines
 from benchmark.tasks.editing.truth import EditedScene, Pair, kinds_in, read_edits
 from datagen.errors import UsageError

@@ -8,8 +8,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmark.ranking.leaderboard import Line, to_csv
-from benchmark.results.csv_files import read_csv
+from benchmark.csv_files import Line, read_csv, to_csv
 from benchmark.tasks.editing.answers import METRICS, Answer
 from benchmark.tasks.editing.truth import Pair
 from datagen.errors import CorruptFile

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from benchmark.csv_files import Line, to_csv
 from benchmark.names import explain_suffixes
-from benchmark.ranking.leaderboard import Line, to_csv
 from benchmark.ranking.statistics import Summary, draw, summarise
 from benchmark.ranking.text import markdown as markdown_text
 from benchmark.ranking.text import terminal

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 
-from benchmark.tasks.editing.interface import Picture
+from benchmark.models.editor_interface import Picture
 from datagen.errors import UsageError
 from datagen.schema import LEAST_EFFECT, EditKind, SceneRecord, decode_depth
 from datagen.storage.reader import Dataset, Split

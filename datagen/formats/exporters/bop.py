@@ -17,12 +17,12 @@ from datagen.formats.images import depth_units, write_png
 from datagen.formats.scenes import ExportScene, plain
 from datagen.formats.silhouettes import silhouettes, stage_of_scene
 from datagen.geometry import invert_rigid
+from datagen.rgbd.files import HALF_PIXEL
 from datagen.schema import DEPTH_SCALE
 from datagen.shapes.shape import Shape
 from datagen.shapes.symmetry import is_continuous, symmetry_rotations
 
 MILLIMETRES = 1000.0
-HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 
 _AXES = {"SO3": ([1, 0, 0], [0, 1, 0], [0, 0, 1])}
 """Axes about which a group turns freely, if that is not z alone."""

@@ -13,6 +13,7 @@ from datagen.errors import UsageError
 from datagen.formats.exporters.interface import CAMERAS, PIXELS, Exporter, Files
 from datagen.formats.scenes import ExportScene
 from datagen.geometry import unproject
+from datagen.rgbd.files import HALF_PIXEL
 
 CAMERA_FILE = "camera_info.npy"
 SLOTS = 5
@@ -21,7 +22,6 @@ SLOTS = 5
 _Camera = dict[str, np.ndarray]
 
 _TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
-_HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 
 
 def write(folder: Path, scenes: Iterable[ExportScene]) -> None:
@@ -54,7 +54,7 @@ def _check_camera(scene: ExportScene, frames: list[dict[str, Any]], shared: _Cam
 def _frame(scene: ExportScene, frame: int, view: int) -> dict[str, Any]:
     depth, k, pose = scene.depth[frame, view], scene.k[frame, view], scene.world_from_camera[frame, view]
     channels = 1 + scene.objects if scene.frames > 1 else max(SLOTS, 1 + scene.objects)
-    intrinsics = (k - _HALF_PIXEL) @ np.diag([-1.0, -1.0, 1.0])
+    intrinsics = (k - HALF_PIXEL) @ np.diag([-1.0, -1.0, 1.0])
     return {
         "rgb": scene.rgb[frame, view].astype(np.float32) / np.float32(255),
         "depth": depth,

@@ -10,10 +10,8 @@ from datagen.formats.import_request import Request
 from datagen.formats.importers.interface import Facts, Recording
 from datagen.rgbd.images import Size
 from datagen.schema import SPLITS
-from datagen.storage.safe_io import MOST_ARRAY_BYTES
+from datagen.storage.spec import MOST_PIXELS
 
-_MOST_PIXELS = MOST_ARRAY_BYTES // 3
-"""Largest number of pixels of a scene: its colours are read as one array."""
 MOST_OBJECTS = 255
 """Most objects of a scene: ids are bytes."""
 ASSUMED_OBJECTS = 6
@@ -101,10 +99,10 @@ def plan_scenes(recordings: Iterable[Surveyed], request: Request) -> Plan:
         )
     length = next(iter(lengths))
     frames, views = (1, length) if request.group == "views" else (length, cameras)
-    if frames * views * size[0] * size[1] > _MOST_PIXELS:
+    if frames * views * size[0] * size[1] > MOST_PIXELS:
         raise UsageError(
             f"A scene would have {frames * views} images of {size[0]}x{size[1]}; expected at most "
-            f"{_MOST_PIXELS:,} pixels. Give fewer --frames or --views, or a smaller --resolution."
+            f"{MOST_PIXELS:,} pixels. Give fewer --frames or --views, or a smaller --resolution."
         )
     units, notes = _assign(
         [[Unit(recording, facts, images) for images in groups[recording]] for recording, facts in surveyed], request

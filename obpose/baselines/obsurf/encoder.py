@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from obpose.baselines.obsurf.config import ImageEncoderConfig
-from obpose.model.layers.numerics import full_precision
+from obpose.geometry import full_precision
 
 _GROUPS = 4
 """Groups of the norms. [ours]"""

@@ -107,6 +107,7 @@ class Obsurf(Trainable):
         frames, _, height, width = observation.depth.shape[1:]
         cameras = observation.k, observation.world_from_camera
         k, poses = (repeat(camera, "b 1 i j -> (b f) i j", f=frames) for camera in cameras)
+        # Inputs of each pixel: direction of its ray, and surface point with its validity.
         rays = F.normalize(view_directions(observation)[:, 0], dim=-1)
         seen = self.to_units(unproject(observation)) * observation.valid[..., None]
         points = torch.cat([seen, observation.valid[..., None].to(seen.dtype)], dim=-1)
@@ -130,6 +131,7 @@ class Obsurf(Trainable):
         count, share = self.config.train.rays, self.config.train.object_rays
         if not share:
             return sample_rays(observation, count, generator)
+        # Shares of the slots at some surface points.
         points, valid = (
             pixels[:, :, :, _OFFSET::_STRIDE, _OFFSET::_STRIDE]
             for pixels in (unproject(observation), observation.valid)
@@ -139,6 +141,7 @@ class Obsurf(Trainable):
         seen = rearrange(valid, "b f v h w -> (b f) 1 1 (v h w)")
         elsewhere = not_largest(log_shares.masked_fill(~seen, -torch.inf))
         sizes = dict(zip("vhw", valid.shape[2:], strict=True))
+        # Back to the size of the images.
         interest = rearrange(elsewhere, "i 1 (v h w) -> i v h w", **sizes)
         interest = F.interpolate(interest, size=observation.depth.shape[3:], mode="nearest")
         interest = rearrange(interest, "(b f) v h w -> b f v h w", b=len(valid))

@@ -65,10 +65,12 @@ def boxes_over_time(
     middle, rotation = (value.clone() for value in boxes)
     places, colours, labels = (value.double().cpu().numpy() for value in (points, COLOUR_SCALE * rgb, owners))
     for scene, slot in np.ndindex(len(labels), middle.shape[2]):
+        # Points of the object in each frame.
         clouds = [
             Cloud(place[own], colour[own])
             for place, colour, own in zip(places[scene], colours[scene], labels[scene] == slot + 1, strict=True)
         ]
+        # One box for each group of frames with known motions, carried along by them.
         for motions in linked_frames(clouds):
             if len(motions) == 1:
                 continue
@@ -100,10 +102,12 @@ def linked_frames(clouds: Sequence[Cloud]) -> list[dict[int, Motion]]:
         if len(cloud.points) < LEAST_POINTS:
             continue
         motion, residual = REST, np.inf
+        # Register to the frame before, then to all points of the group.
         if groups:
             step = register(clouds[last], cloud, None, rounds=FIRST_ROUNDS)
             back, residual = aligned(cloud, _union(surfaces), groups[-1][last].then(step).inverse)
             motion = back.inverse
+        # Begin a new group where the points do not fit.
         if residual > FITTING:
             motion, surfaces = REST, []
             groups.append({})

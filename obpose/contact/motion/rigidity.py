@@ -80,11 +80,13 @@ def common_motion(clouds: Sequence[Cloud], labels: Sequence[Int64[np.ndarray, "_
     ]
     excesses: dict[tuple[int, int], list[float]] = {}
     tumbling = np.zeros((count, count), bool)
+    # Compare frames at several distances in time.
     for step in STEPS:
         for before, after in zip(parts, parts[step * views :], strict=False):
             for pair, excess, tumbled in _compare(before, after):
                 excesses.setdefault(pair, []).append(excess)
                 tumbling[pair] |= tumbled
+    # One separate motion is enough: the largest values count.
     found = np.zeros((count, count))
     for pair, values in excesses.items():
         found[pair] = np.mean(np.sort(values)[-LARGEST:])

@@ -133,6 +133,7 @@ def register(
         # One tree of all objects: the nearest point belongs to the nearest object.
         distances, places = map(np.asarray, KDTree(np.concatenate(models)).query(features))
         nearest = owner[places]
+        # Move each object to its points; turn it only after it has been shifted into place.
         for number, name in enumerate(objects):
             mine = nearest == number
             if np.count_nonzero(mine) >= 3:

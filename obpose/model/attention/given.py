@@ -36,6 +36,7 @@ def attended_as_labelled(
         attention: Part that gives the code of the background.
         grid: Rows and columns of the embedding grid of an image; a cell has the label of its middle pixel.
     """
+    # Labels of the cells; cells without a point count as background.
     height, width = labels.shape[-2:]
     rows, columns = (
         ((torch.arange(cells) + 0.5) * -(-length // cells)).long().clamp(max=length - 1).to(labels.device)
@@ -43,6 +44,7 @@ def attended_as_labelled(
     )
     cells = rearrange(labels[..., rows[:, None], columns], "b f v h w -> b f (v h w)") * embeddings.valid
     slots = max(1, int(labels.max()))
+    # Masks of 0 and 1, without a remaining scope.
     chosen = cells[:, :, None] == torch.arange(slots + 1, device=labels.device)[:, None]
     log_masks = torch.where(chosen, 0.0, EXCLUDED).to(embeddings.points.dtype)
     masks = Masks(

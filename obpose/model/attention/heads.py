@@ -46,20 +46,18 @@ class Heads(nn.Module):
     - The observed colours are appended to zeta_f, so that the latents need not wait for the backbone.
     """
 
-    def __init__(self, config: ModelConfig, *, features: bool = True):
-        """Initialise the weights; `features` says whether there is a feature head."""
+    def __init__(self, config: ModelConfig):
         super().__init__()
         attention, icsbp = config.attention, config.attention.kind == "icsbp"
         self.semi_convolution, self.semi_colour = attention.semi_convolution, attention.semi_colour
-        self.appends_colours = features and config.latent.colours == "given"
-        self.colour = self.features = self.prescope = None
+        self.appends_colours = config.latent.colours == "given"
+        self.colour = self.prescope = None
         # zeta_c, from the embedding and the position (paper, section Encoder).
         if icsbp:
             self.position = Linear(3, EMBEDDING, bias=False)
             self.colour = mlp(EMBEDDING, _HIDDEN, COLOUR, activation=nn.ReLU)
-        if features:
-            # zeta_f.
-            self.features = mlp(EMBEDDING, _HIDDEN, FEATURE, activation=nn.ReLU)
+        # zeta_f.
+        self.features = mlp(EMBEDDING, _HIDDEN, FEATURE, activation=nn.ReLU)
         # rho: the logits of the pre-scope s^p (paper, eq. 3).
         if icsbp and config.has_background:
             self.prescope = mlp(COLOUR, _HIDDEN, 2, activation=nn.ReLU)
@@ -67,7 +65,7 @@ class Heads(nn.Module):
     @property
     def feature_size(self) -> int:
         """Channels of the features."""
-        return (0 if self.features is None else FEATURE) + (3 if self.appends_colours else 0)
+        return FEATURE + (3 if self.appends_colours else 0)
 
     def forward(
         self,
@@ -83,7 +81,7 @@ class Heads(nn.Module):
         `points` are in the world frame, metres, `rgb` standardised, `center` is the middle of the workspace.
         """
         # zeta_f, and the observed colours.
-        features = embedding[..., :0] if self.features is None else self.features(embedding)
+        features = self.features(embedding)
         if self.appends_colours:
             features = torch.cat([features, rgb], dim=-1)
         if self.colour is None:

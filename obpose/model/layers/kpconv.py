@@ -11,7 +11,7 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from obpose.model.layers.numerics import full_precision
+from obpose.geometry import full_precision
 
 EXTENT = 0.48
 """sigma: extent of a kernel point, in units of the radius of the neighbourhood."""

@@ -1,28 +1,11 @@
 """Numerically stable functions, where textbook formulas overflow, underflow or lose precision."""
 
 import math
-from collections.abc import Callable
-from functools import wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
-
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
-
-
-def full_precision(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Decorator for geometry, which half precision would round to a percent of the scene's size."""
-
-    @wraps(function)
-    def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        device = next(value.device.type for value in (*args, *kwargs.values()) if isinstance(value, Tensor))
-        with torch.autocast(device, enabled=False):
-            return function(*args, **kwargs)
-
-    return run
 
 
 def log1mexp(x: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:

@@ -11,8 +11,7 @@ from einops import rearrange, reduce
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from obpose.geometry import from_box
-from obpose.model.layers.numerics import full_precision
+from obpose.geometry import from_box, full_precision
 from obpose.model.nerf.compose import log_density
 from obpose.model.nerf.field import Field
 from obpose.types import Active, Boxes, Observation, Shape

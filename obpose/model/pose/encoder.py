@@ -18,9 +18,9 @@ from torch import Tensor, nn
 from torch.nn.functional import elu
 
 from obpose.config import LatentConfig
+from obpose.geometry import full_precision
 from obpose.model.layers.kpconv import KPConv, influence, kernel_points
 from obpose.model.layers.mlp import mlp
-from obpose.model.layers.numerics import full_precision
 from obpose.model.nerf.field import positional_encoding
 from obpose.model.pose.crop import BoxSamples
 

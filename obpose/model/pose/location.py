@@ -10,9 +10,10 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from obpose.config import ModelConfig
+from obpose.geometry import full_precision
 from obpose.model.layers.latent import LATENT, RecurrentLatent
 from obpose.model.layers.mlp import mlp
-from obpose.model.layers.numerics import full_precision, sharpen
+from obpose.model.layers.numerics import sharpen
 from obpose.types import ComponentMasks, Draw, GridPoints, GridValid, Latent
 
 MIN_POINTS = 1

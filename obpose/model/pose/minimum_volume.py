@@ -13,7 +13,7 @@ from einops import rearrange, repeat
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from obpose.model.layers.numerics import full_precision
+from obpose.geometry import full_precision
 from obpose.model.pose.rotations import (
     box_grid,
     box_rotations,

@@ -133,10 +133,12 @@ def _voxels(model: ObPose, scene: Scene) -> tuple[Float[Tensor, "voxel 3"], Int[
 
 def _search(whole: _Evidence) -> tuple[Float[Tensor, "3"], float]:
     """The best direction, and the share of the variance that its shadows explain: coarse, then around the best."""
+    # Coarse grid, judged on some of the pixels.
     part = whole.part()
     grid = [(float(azimuth), float(elevation)) for elevation in _ELEVATIONS for azimuth in _AZIMUTHS]
     best = max(grid, key=lambda angles: part.explained(_toward(*angles)))
     explained = whole.explained(_toward(*best))
+    # Pattern search around the best one, on all pixels.
     across, up = _AZIMUTHS.step / 2, _ELEVATIONS.step / 2
     for _ in range(_ROUNDS):
         azimuth, elevation = best

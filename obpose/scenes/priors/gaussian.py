@@ -45,6 +45,7 @@ def fit_gaussian(origin: Origin, data: Path, settings: FitSettings, say: Say) ->
     Raises:
         UsageError: too few objects were found for a covariance.
     """
+    # Lights and textures need whole clips.
     tables = min(settings.clips, MOST)
     say(f"Looking for lights and textures in {counted(tables, 'clip')}; each takes some seconds.")
 
@@ -55,6 +56,7 @@ def fit_gaussian(origin: Origin, data: Path, settings: FitSettings, say: Say) ->
             yield read_clip(data, "train", place)
 
     found = find_tables(origin, whole_clips(), refinements=settings.refinements)
+    # Codes need first frames only.
     say(f"Looking at the first frames of {counted(settings.clips, 'clip')}.")
     clips = (select_part(read_clip(data, "train", i), frames=slice(1)) for i in range(settings.clips))
     return save_gaussian(

@@ -91,9 +91,11 @@ def _place(
     for place in range(objects):
         turn = upright(float(torch.rand((), generator=generator)) * 2 * math.pi, center)
         details = drawn.appearance.detail[place], drawn.appearance.own_scale[place]
+        # Stand the decoded shape on the table, and measure how far it reaches.
         extent = shape_extent(model, conditioning(model, drawn.what[place], *details), turn)
         height = float(-extent[:, 2].min())
         reach = float(above_table(extent, height + _SKIN)[:, :2].norm(dim=-1).max())
+        # Find a place clear of those before.
         middle = _free_place(prior, center[:place, :2], reaches, reach, generator)
         if middle is None:
             return None

@@ -50,6 +50,7 @@ def fit_flow(origin: Origin, data: Path, settings: FitSettings, say: Say) -> Pat
         CorruptFile: a file of the interrupted run is damaged.
         Busy: another process uses the folder.
     """
+    # Fail early without the fitted prior, which samples need beside the flow.
     load_gaussian(origin)
     training = {"clips": settings.clips, "steps": settings.steps, "seed": settings.seed}
     folder = origin.folder / PARTIAL
@@ -60,6 +61,7 @@ def fit_flow(origin: Origin, data: Path, settings: FitSettings, say: Say) -> Pat
             _check_same(folder / _LEARNING, training)
         found = find_examples(origin, data, folder, settings, say)
         write_atomically(folder / _LEARNING, json.dumps(training, indent=1).encode())
+        # Train from the seed, whatever was drawn before.
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
             flow = Flow(LATENT)
@@ -100,12 +102,14 @@ def _train(flow: Flow, found: list[Examples], folder: Path, settings: FitSetting
         f"Learning from {counted(len(learned.half), 'example')} of objects, in some frames each; held out: "
         f"{len(held.half)}."
     )
+    # Standardise the examples; those to learn from also mirrored.
     describe(flow, learned, torch.cat([each.what for each in found]))
     objects, others = torch.cat([flow.encode(learned), flow.encode(mirrored(learned))]), flow.encode(held)
     mean = _copy(flow).eval()
     optimiser = torch.optim.AdamW(flow.parameters(), lr=RATE, betas=(0.9, 0.99), weight_decay=0.01)
     done = _restore(folder / _STATE, flow, mean, optimiser, steps=settings.steps)
     losses: list[float] = []
+    # Noise depends on seed and step alone, so that a resumed training is the same.
     for step in range(done, settings.steps):
         noise = torch.Generator().manual_seed((settings.seed << 32) + step)
         batch = objects[torch.randint(len(objects), (settings.batch,), generator=noise)]
@@ -197,6 +201,7 @@ def _restore(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimize
     tensors, metadata = read_tensors(path, advice)
     parts: dict[str, State] = {"flow": {}, "mean": {}, "optimiser": {}}
     try:
+        # Split the file by the first part of its names.
         for name, tensor in tensors.items():
             part, _, rest = name.partition(".")
             parts[part][rest] = tensor

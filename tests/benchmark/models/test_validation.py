@@ -3,9 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmark.csv_files import load_curve
 from benchmark.models.interface import Clip, Prediction
 from benchmark.models.validation import CLIPS, FRAMES, ValidationScorer
-from benchmark.results.csv_files import load_curve
 from tests.worlds.sphere_clips import clip_and_truth
 
 

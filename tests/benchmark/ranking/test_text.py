@@ -3,17 +3,8 @@ import re
 
 import pytest
 
-from benchmark.ranking.text import (
-    MOST_CHARACTERS,
-    brief,
-    decimals_that_show,
-    latex,
-    markdown,
-    one_line,
-    plain_number,
-    printable,
-    terminal,
-)
+from benchmark.ranking.text import decimals_that_show, latex, markdown, plain_number, terminal
+from datagen.console.text import MOST_CHARACTERS, brief, one_line, printable
 from tests.chosen_scores import HOSTILE
 
 

@@ -6,8 +6,7 @@ import pytest
 from datagen.config import Layout, Recipe
 from datagen.edits.choice import choose_edit
 from datagen.edits.edit_context import Stage, stage_of
-from datagen.pipeline.simulate import visible_pixels
-from datagen.pipeline.visible_range import near_object
+from datagen.render.visible_range import near_object, visible_pixels
 from datagen.sampling.poses import Stance
 from datagen.scene import Camera
 from datagen.schema import EditKind

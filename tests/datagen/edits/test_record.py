@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from datagen import schema
-from datagen.pipeline.records import render_clip, stack_images
 from datagen.render import make_renderer
+from datagen.render.renderer import render_clip, stack_images
 from datagen.schema import EDITS, effect_mask
 from datagen.shapes import build
 from tests.worlds import rendered

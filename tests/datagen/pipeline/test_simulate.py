@@ -13,8 +13,8 @@ from datagen.config import Layout, Objects, Recipe, load_recipe, names_without_m
 from datagen.errors import ImpossibleScene, UsageError
 from datagen.pipeline import simulate
 from datagen.pipeline.simulate import Simulated, check_course, check_room, is_hopeless, simulate_scene
-from datagen.pipeline.visible_range import near_object
 from datagen.render import make_renderer
+from datagen.render.visible_range import near_object
 from datagen.scene import scene_to_json
 from datagen.schema import MAX_DEPTH
 from tests.paths import ROOT

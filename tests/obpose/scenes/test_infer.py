@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from obpose.data.resolution import fitting_model
 from obpose.geometry import unproject
+from obpose.model.resolution import fitting_model
 from obpose.scenes.appearance.find_light import find_light
 from obpose.scenes.appearance.find_table_texture import find_texture
 from obpose.scenes.appearance.light import no_light

@@ -4,12 +4,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from obpose.data.resolution import fitting_model
 from obpose.geometry import all_rays, to_box, unproject
 from obpose.model.losses.objective import observation_terms
 from obpose.model.nerf.along import fields_along
 from obpose.model.nerf.detail import Detail
 from obpose.model.obpose import ObPose
+from obpose.model.resolution import fitting_model
 from obpose.scenes import refine as refining
 from obpose.scenes.edit import remove
 from obpose.scenes.infer import infer_scene

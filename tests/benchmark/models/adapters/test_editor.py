@@ -5,7 +5,7 @@ import pytest
 
 from benchmark.clips import ClipSequence
 from benchmark.models.adapters.editor import SceneEditor
-from benchmark.tasks.editing.interface import EditableScene, Editor
+from benchmark.models.editor_interface import EditableScene, Editor
 from datagen.storage.reader import Dataset
 
 IDENTITY = np.eye(4)

@@ -12,10 +12,10 @@ from PIL import Image
 
 from benchmark.clips import ClipSequence
 from benchmark.commands.cli import main
+from benchmark.models import pose_file as stored_poses
 from benchmark.models.adapters.predictions import PredictionFolder
 from benchmark.models.interface import Clip, Poses, Prediction
 from benchmark.ranking.standings import load_standings, pooled
-from benchmark.results import poses as stored_poses
 from benchmark.results.labels import write_labels
 from benchmark.results.run_folder import load_runs, load_scenes
 from datagen.errors import CorruptFile, DatagenError, UsageError

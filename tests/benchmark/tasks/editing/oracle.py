@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.tasks.editing.interface import Picture
+from benchmark.models.editor_interface import Picture
 from benchmark.tasks.editing.truth import EditedScene, read_edits
 from datagen.pipeline.generate import generate
 from datagen.schema import EDITS, EditKind

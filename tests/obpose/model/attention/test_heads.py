@@ -108,5 +108,3 @@ def test_heads_that_nobody_reads_are_not_there():
         assert found.colour.shape[-1] == colours
         assert (found.log_prescope is not None) == has_prescope
         assert any(name.startswith("prescope") for name in heads.state_dict()) == has_prescope
-    bare = Heads(ModelConfig(), features=False)
-    assert bare(points, valid, rgb, embedding, center=CENTER).features.shape[-1] == 0

@@ -1,16 +1,19 @@
-"""Check that all that a camera sees lies in the range of depths that renderers show and the format holds.
+"""Checks of what cameras see: depths in the range that renderers show and the format holds, and visible objects.
 
 Renderers cut away what is nearer than `NEAREST`, and would show what lies behind it. The format holds depths up to
 `MAX_DEPTH`. Distances along a camera's axis are meant throughout: planar depth.
 """
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
+from datagen.config import Recipe
 from datagen.errors import UsageError
 from datagen.geometry import invert_rigid, transform
+from datagen.render.raster import RasterRenderer
 from datagen.render.renderer import NEAREST
 from datagen.scene import Camera, Scene
 from datagen.schema import MAX_DEPTH
@@ -62,6 +65,7 @@ def table_fault(camera: Camera, table_size: float, width: int, height: int) -> s
     elevation = camera.world_from_camera[2, 3]
     if elevation <= 0:
         return f"stands {100 * abs(elevation):.1f} cm below the table's top; expected above it"
+    # Depths of the part of the table that lies in the view.
     corners = 0.5 * table_size * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     corners = transform(invert_rigid(camera.world_from_camera), corners)
     depths = clip(corners, _sides(camera, width, height))[:, 2]
@@ -85,6 +89,7 @@ def near_object(
             if near := near_object(camera.at(frame), shapes, world_from_object[frame : frame + 1], width, height):
                 return frame, near[1]
         return None
+    # Only objects whose sphere comes near can be near.
     camera_from_world = invert_rigid(camera.world_from_camera)
     radii = np.array([shape.radius for shape in shapes])
     nearest = (camera_from_world @ world_from_object)[..., 2, 3] - radii
@@ -140,3 +145,22 @@ def _cut(
             share = height[here] / (height[here] - height[after])
             corners.append(polygon[here] + share * (polygon[after] - polygon[here]))
     return np.array(corners).reshape(-1, 3)
+
+
+def visible_pixels(
+    recipe: Recipe, scene: Scene, shapes: Sequence[Shape], world_from_object: Float[np.ndarray, "object 4 4"]
+) -> Int[np.ndarray, "object"]:
+    """Pixels that each object shows at these poses in its worst view."""
+    renderer = _rasteriser()
+    renderer.load(scene, shapes)
+    width, height = recipe.visibility_resolution
+    counts = []
+    for camera in scene.cameras:
+        ids = renderer.segment(world_from_object, camera, width, height)
+        counts.append(np.bincount(ids.ravel(), minlength=len(shapes) + 1)[1:])
+    return np.min(counts, axis=0)
+
+
+@cache
+def _rasteriser() -> RasterRenderer:
+    return RasterRenderer()

@@ -7,7 +7,7 @@ import pytest
 
 from benchmark.commands import outputs
 from benchmark.ranking import leaderboard
-from benchmark.results.pack import pack
+from benchmark.ranking.pack import pack
 from benchmark.results.packed_runs import CURVES_FILE, ROWS_FILE, SCENES_FILE, stored_curves, stored_rows, stored_scenes
 from benchmark.results.run_folder import Measured, RunRow, SceneTable, load_runs, load_scenes
 from datagen.errors import CorruptFile, UsageError

@@ -5,9 +5,9 @@ import pytest
 
 from datagen.errors import UsageError
 from datagen.geometry import rigid
-from datagen.pipeline.visible_range import check_range, clip, near_object, table_fault
 from datagen.render import kernels, make_renderer
 from datagen.render.renderer import NEAREST
+from datagen.render.visible_range import check_range, clip, near_object, table_fault
 from datagen.scene import Camera, ShapeSpec
 from datagen.schema import MAX_DEPTH
 from datagen.shapes import build

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.results.csv_files import load_curve, read_csv, save_curve
+from benchmark.csv_files import load_curve, read_csv, save_curve
 from datagen.errors import CorruptFile, UsageError
 
 

@@ -1,4 +1,8 @@
-"""CSV files of a run folder: checked reading of any table, and learning curves."""
+"""CSV files of a run folder: any table, and learning curves.
+
+The lines of a table are plain dictionaries. A data frame would turn whole numbers with gaps into floats, and import
+pandas for the few lines of `to_csv`.
+"""
 
 import csv
 import io
@@ -6,12 +10,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from datagen.console.text import printable
 from datagen.errors import CorruptFile
 from datagen.storage.atomic import write_atomically
 from datagen.storage.safe_io import read_text
 
 CLOCKS = ("step", "seconds")
 """Columns in which learning curves count time."""
+
+Cell = str | int | float
+Line = Mapping[str, Cell]
 
 Curve = list[dict[str, float]]
 """Quantities by name; not every point has all of them."""
@@ -39,6 +47,25 @@ def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
         if len(cells) != len(names):
             raise ValueError(f"line {number} has {len(cells)} cells; expected {len(names)}")
     return names, lines
+
+
+def to_csv(lines: Iterable[Line]) -> str:
+    """Format lines as CSV with the columns of all of them; floats have six decimals, missing cells are empty."""
+    lines = list(lines)
+    names = list(dict.fromkeys(name for line in lines for name in line))
+    content = io.StringIO(newline="")
+    writer = csv.writer(content, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows([_csv_cell(line.get(name, "")) for name in names] for line in lines)
+    return content.getvalue()
+
+
+def _csv_cell(value: Cell) -> str:
+    if isinstance(value, float):
+        return f"{value:z.6f}"
+    content = printable(str(value))
+    # Spreadsheets would compute a cell that begins like a formula.
+    return f"'{content}" if content.startswith(("=", "+", "-", "@")) else content
 
 
 def save_curve(path: Path, curve: Sequence[Mapping[str, float]]) -> None:

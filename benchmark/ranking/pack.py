@@ -12,11 +12,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from benchmark.csv_files import Curve, to_csv
 from benchmark.ranking import leaderboard
-from benchmark.ranking.leaderboard import leaderboard_lines, seed_lines, to_csv
+from benchmark.ranking.leaderboard import leaderboard_lines, seed_lines
+from benchmark.ranking.manifest import MANIFEST, write_manifest
 from benchmark.ranking.standings import load_standings
-from benchmark.results.csv_files import Curve
-from benchmark.results.manifest import MANIFEST, write_manifest
 from benchmark.results.packed_runs import (
     CURVES_FILE,
     ROWS_FILE,
@@ -127,6 +127,7 @@ class _Archive:
                 f"{self.folder} has another result in the place of {result.name}; packed results are read-only. Pack "
                 "into another folder, or delete this one and pack all of its runs again."
             )
+        # The first folder that has a result keeps it; others refer to it.
         self.results[result.row.key.place] = result
         home, _ = self.homes.setdefault(result.digest, (self.folder, result.name))
         if home == self.folder:

@@ -1,9 +1,9 @@
 import pytest
 import torch
 
-from obpose.data.resolution import TOLERANCE, fitting_model, surface_spacing
 from obpose.model.build import build_obpose
 from obpose.model.obpose import ObPose
+from obpose.model.resolution import TOLERANCE, fitting_model, surface_spacing
 from obpose.variants import make_config
 from tests.worlds.observations import table_scene
 
