@@ -27,6 +27,8 @@ from jaxtyping import Integer, UInt8
 from benchmark.metrics.poses import Poses as Poses
 from datagen.rgbd.clip import Clip as Clip
 
+RECONSTRUCTION_SIDE = 128
+"""Longest side of a stored reconstruction, pixels; larger images are subsampled."""
 LARGEST_LABEL = 255
 """Largest label; label maps are stored as bytes."""
 

@@ -9,7 +9,8 @@ import scipy
 from jaxtyping import Float, Int64, Integer, UInt8
 from PIL import Image, ImageDraw
 
-from benchmark.results.reconstructions import SIDE, subsampled
+from benchmark.models.interface import RECONSTRUCTION_SIDE
+from benchmark.results.reconstructions import subsampled
 from datagen.geometry import project
 from datagen.inspect.preview import colored_depth, label_colors
 
@@ -60,7 +61,7 @@ def boxes_picture(images: Sequence[Rgb], corners: Sequence[Float[np.ndarray, "la
     """Encode images side by side with the edges of bounding boxes; boxes with nan corners are left out."""
     drawn = []
     for image, boxes in zip(images, corners, strict=True):
-        scale = max(1, SIDE // max(image.shape[:2]))
+        scale = max(1, RECONSTRUCTION_SIDE // max(image.shape[:2]))
         picture = Image.fromarray(image // 2 + 64).resize((image.shape[1] * scale, image.shape[0] * scale))
         pen = ImageDraw.Draw(picture)
         for label in np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2))):

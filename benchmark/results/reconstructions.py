@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from benchmark.models.interface import RECONSTRUCTION_SIDE
 from benchmark.results.run_folder import RECONSTRUCTIONS, RunRow
 from datagen.errors import CorruptFile
 from datagen.storage.atomic import write_atomically
@@ -22,8 +23,6 @@ from datagen.storage.safe_io import open_image
 MOST_SCENES = 4
 MOST_IMAGES = 8
 """Images of a clip; longer clips are sampled evenly."""
-SIDE = 128
-"""Longest side of one image, pixels; larger images are subsampled."""
 QUALITY = 90
 
 Images = UInt8[np.ndarray, "image height width 3"]
@@ -45,8 +44,8 @@ def _spread(count: int, most: int) -> list[int]:
 
 
 def subsampled(image: np.ndarray) -> np.ndarray:
-    """Every n-th pixel, such that no side is longer than `SIDE`."""
-    step = -(-max(image.shape[:2]) // SIDE)
+    """Every n-th pixel, such that no side is longer than `RECONSTRUCTION_SIDE`."""
+    step = -(-max(image.shape[:2]) // RECONSTRUCTION_SIDE)
     return image[step // 2 :: step, step // 2 :: step]
 
 

@@ -11,10 +11,9 @@ import torch
 from einops import rearrange
 from jaxtyping import Float, UInt8
 
-from benchmark.models.interface import Clip, Poses, Prediction
+from benchmark.models.interface import RECONSTRUCTION_SIDE, Clip, Poses, Prediction
 from benchmark.models.model_spec import settings_of
 from benchmark.models.validation import ValidationScorer
-from benchmark.results.reconstructions import SIDE
 from datagen.errors import UsageError
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, select_part, separate_views
 from obpose.data.scene_stats import measure_scene
@@ -97,7 +96,7 @@ class LearnedSegmenter:
         rendered = []
         for frame, view in images:
             scene, camera = cameras[view]
-            scale = min(1.0, SIDE / max(camera.width, camera.height))
+            scale = min(1.0, RECONSTRUCTION_SIDE / max(camera.width, camera.height))
             camera = camera.resized(round(scale * camera.width), round(scale * camera.height))
             rendered.append(to_bytes(renderer.render(scene, frame, camera, antialiased=False).rgb))
         return np.stack(rendered)

@@ -9,7 +9,7 @@ from PIL import Image
 from benchmark.report.pictures import (
     EDGES,
     GAP,
-    SIDE,
+    RECONSTRUCTION_SIDE,
     box_corners,
     boxes_picture,
     label_picture,
@@ -31,7 +31,7 @@ def test_label_maps_are_exact_to_the_pixel() -> None:
 
 
 def test_large_images_are_thinned_out() -> None:
-    assert max(subsampled(np.zeros((300, 200, 3), np.uint8)).shape[:2]) <= SIDE
+    assert max(subsampled(np.zeros((300, 200, 3), np.uint8)).shape[:2]) <= RECONSTRUCTION_SIDE
     assert subsampled(np.zeros((64, 64))).shape == (64, 64)
 
 
