@@ -17,6 +17,7 @@ from benchmark.results.labels import read_labels
 from benchmark.results.run_folder import LABELS, RunKey, load_runs, load_scenes
 from datagen.errors import UsageError
 from datagen.storage import reader
+from datagen.storage.reader import Dataset
 from tests.worlds.imported import import_balls
 from tests.worlds.traced import write_dataset
 
@@ -344,14 +345,13 @@ class Renderer(Scripted):
 def test_a_few_scenes_are_rendered_by_models_that_can(data: Path, tmp_path: Path, monkeypatch, *, renders: bool):
     model = Renderer(np.full((48, 64, 3), 100, np.uint8) if renders else None)
     monkeypatch.setitem(registry.MODELS, "scripted", ModelSpec(build=lambda options: model, version=3, description=""))
-    monkeypatch.setattr(reconstructions, "MOST_SCENES", 1)
-    monkeypatch.setattr(reconstructions, "MOST_IMAGES", 2)
     job(data, tmp_path / "out").run()
     assert model.asked == []  # not for seeds that the report does not show
     job(data, tmp_path / "out", seed=0).run()
-    assert model.asked == [[(0, 0), (2, 1)]]
-    found = [path.name for path in (tmp_path / "out").rglob("*.webp")]
-    assert found == (["00000.webp"] if renders else [])
+    scenes = reconstructions.shown_scenes(len(Dataset(data).split("test")))
+    assert model.asked == [reconstructions.shown_images(3, 2)] * (len(scenes) if renders else 1)
+    found = sorted(path.name for path in (tmp_path / "out").rglob("*.webp"))
+    assert found == ([f"{scene:05d}.webp" for scene in scenes] if renders else [])
     assert load_runs(tmp_path / "out")[0].status == "ok"
 
 
