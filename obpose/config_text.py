@@ -3,6 +3,7 @@
 import dataclasses
 import difflib
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -15,7 +16,7 @@ Plain = dict[str, Any]
 _NAMED, _LONGEST = 3, 80
 """Largest number of unknown values that a message names, and of characters that it shows of a name."""
 _LARGEST = 2**63 - 1
-"""Largest absolute value of a number."""
+"""Largest absolute value of a whole number."""
 ADDED_LATER: Plain = {"image_scale": 1}
 """Values, with their defaults, that older files lack. Settings of results leave them out at their defaults, so that
 older results keep their keys."""
@@ -99,8 +100,10 @@ def _conform(value: Any, kind: Any, name: str) -> Any:
     """
     from datagen.storage.structure import strict_converter  # late: --help needs no cattrs
 
+    # A training that counts steps may have infinite minutes.
+    largest = math.inf if isinstance(value, float) else _LARGEST
     try:
-        return strict_converter(_LARGEST, to_float=True).structure(value, kind)
+        return strict_converter(largest, to_float=True).structure(value, kind)
     except ValueError as error:
         found, _, expected = str(error).rpartition(", expected ")
         said = f": {found}, " if isinstance(value, list | tuple) else f"={brief(str(value), _LONGEST)}: "
