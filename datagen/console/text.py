@@ -1,6 +1,5 @@
 """Text of messages: numbers of things, and names made safe for one line of a terminal or file."""
 
-import textwrap
 import unicodedata
 
 MOST_CHARACTERS = 300
@@ -34,4 +33,5 @@ def one_line(text: str) -> str:
 
 def brief(text: str, most: int = MOST_CHARACTERS) -> str:
     """Convert a text as `one_line` does, and shorten it to at most `most` characters."""
-    return textwrap.shorten(one_line(text), most, placeholder=" ...")
+    line = one_line(text)
+    return line if len(line) <= most else f"{line[: most - 4].rstrip()} ..."
