@@ -145,8 +145,8 @@ class Painter:
     def __init__(self, folder: Path, analysis: Analysis, album: Album, best_first: Sequence[int], limits: Limits):
         self._analysis, self._album = analysis, album
         self._worst, self._pairs = choose_cards(analysis, limits, best_first)
-        self._among = chosen_scenes(folder, list(analysis.rows.values()), len(analysis.scenes))
-        self._clips = typical_scenes(list(analysis.scores.values()), limits.clips, self._among)
+        among = chosen_scenes(folder, list(analysis.rows.values()), len(analysis.scenes))
+        self._clips = typical_scenes(list(analysis.scores.values()), limits.clips, among)
         self._reconstructions = self._load_reconstructions(folder)
         self._maps = {model: read_maps(folder, row, self._wanted(model)) for model, row in analysis.rows.items()}
         self._records: dict[int, Mapping[str, np.ndarray]] = {}

@@ -36,7 +36,6 @@ def stop_on_signals(*, echo_seconds: float = 1.0) -> Iterator[StopRequest]:
             signal.signal(number, handler)
 
     def note(number: int, _frame: FrameType | None) -> None:
-        # A signal that is repeated at once belongs to the same request.
         if request.received and time.monotonic() - request.when > echo_seconds:
             restore()
             signal.raise_signal(number)
