@@ -42,7 +42,7 @@ def run(values: arguments.Run) -> int:
         folder.check(request.sources[0].labels_shape(SPLIT))
     # Rows that are missing, after those that are in the way are removed.
     remove_abandoned(values.out, recursive=True)
-    rows = load_runs(values.out)
+    rows, commands = load_runs(values.out), commands_of(values.out)
     plan = make_plan(request, rows, values.out)
     rows = _make_room(values, plan, rows)
     plan = make_plan(request, rows, values.out)
@@ -54,7 +54,7 @@ def run(values: arguments.Run) -> int:
     prepare(plan.splits, workers=values.workers)
     _run_jobs(plan, values)
     repeat_rows(plan.keys, values.out)
-    made_rows = bool(plan.jobs) or not commands_of(values.out)
+    made_rows = bool(plan.jobs) or not commands
     outputs.write(values.out, [source.folder for source in request.sources], made_rows=made_rows)
     failed = [row for row in load_runs(values.out) if row.key in plan.keys and row.status == "failed"]
     if failed:

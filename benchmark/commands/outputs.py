@@ -35,6 +35,7 @@ from benchmark.results.labels import locate
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import RunRow, load_runs
 from datagen.console.progress import busy, status_console, track_progress, tracked
+from datagen.console.text import printable
 from datagen.tracks import Source
 
 FILE_WIDTH = 160
@@ -67,7 +68,7 @@ def write(folder: Path, data: Sequence[Path], *, made_rows: bool = False) -> Non
 
 def _this_command() -> str:
     """Command line of this process; bytes that are no text become question marks."""
-    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]).encode(errors="replace").decode()
+    return printable(shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]))
 
 
 def _dataset(folder: Path, rows: Sequence[RunRow], data: Sequence[Path], track: str, track_spec: str) -> Path | None:

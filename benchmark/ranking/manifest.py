@@ -9,6 +9,7 @@ from pathlib import Path
 
 from benchmark.ranking.leaderboard import FILES
 from benchmark.ranking.standings import ModelResult
+from datagen.console.text import printable
 from datagen.errors import CorruptFile
 from datagen.storage.atomic import write_atomically
 from datagen.storage.manifest import package_version
@@ -58,4 +59,4 @@ def commands_of(folder: Path) -> list[str]:
     commands = facts.get("commands", []) if isinstance(facts, dict) else None
     if not isinstance(commands, list) or not all(isinstance(command, str) for command in commands):
         raise CorruptFile(f"{path} is damaged: its commands are no list of texts. {advice}")
-    return commands
+    return [*map(printable, commands)]

@@ -100,6 +100,14 @@ def test_a_second_run_makes_only_what_is_missing(data: Path, copy: Path, capsys)
     assert "All rows are there" in said
 
 
+def test_a_damaged_manifest_is_named_before_rows_are_made(data: Path, copy: Path, capsys):
+    (copy / "manifest.json").write_text("{")
+    before = load_runs(copy)
+    assert run_cli("--model", "chance", "--data", data, "--out", copy, "--seeds", 3) == EXIT_INCOMPLETE
+    assert "manifest.json is damaged" in capsys.readouterr().err
+    assert load_runs(copy) == before
+
+
 def test_a_failure_is_a_row_with_its_reason_and_made_again_when_asked(data: Path, copy: Path, capsys):
     command = ("--model", "raises", "good", "--data", data, "--out", copy, "--seeds", 1)
     assert run_cli(*command) == EXIT_INCOMPLETE

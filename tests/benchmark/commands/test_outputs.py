@@ -72,6 +72,8 @@ def test_the_report_keeps_the_commands_that_made_rows(tmp_path: Path, monkeypatc
         manifest.write_text(damage)
         with pytest.raises(CorruptFile, match="Delete it: it is written again"):
             write(tmp_path / "run", [])
+    manifest.write_text('{"commands": ["one\\n\\ud800"]}')  # no text that can be stored
+    assert ">one ?<" in page("report run", made_rows=False)
     manifest.unlink()
     assert "obpose-bench --model" not in page("report run", made_rows=False)
 
