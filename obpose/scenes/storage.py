@@ -191,6 +191,7 @@ def _is_whole(ids: Sequence[int], tensors: State) -> bool:
     if differences_of(found, _expected_file(len(ids), len(tensors["k"]), found)) or not len(tensors["what"]):
         return False
     k, pose, light = tensors["k"], tensors["world_from_camera"], tensors.get("light", no_light())
+    half_extent = tensors.get("half_extent", torch.zeros(()))
     return (
         len(set(ids)) == len(ids) <= MOST_OBJECTS
         and all(bool((value.abs() <= _LARGEST_VALUE).all()) for value in tensors.values())
@@ -200,6 +201,7 @@ def _is_whole(ids: Sequence[int], tensors: State) -> bool:
         and bool((k[:, 2] == torch.tensor([0.0, 0.0, 1.0])).all() and (k[:, 1, 0] == 0).all())
         and bool((k.diagonal(dim1=1, dim2=2) > 0).all())
         and is_light(light)
+        and bool((half_extent >= 0).all())
     )
 
 

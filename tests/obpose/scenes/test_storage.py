@@ -101,6 +101,7 @@ CAMERAS = {"k": CAMERA.k[None], "world_from_camera": CAMERA.world_from_camera[No
         {"detail": torch.zeros(3, 8, 8, 8, 4)},
         {"detail": torch.full((3, 16, 16, 16, 4), torch.nan)},
         {"world_from_camera": torch.diag(torch.tensor([0.0, 0.0, 0.0, 1.0]))[None]},
+        {"half_extent": torch.full((3, 3), -0.1)},
         {"light": torch.tensor([torch.nan, 0.0, 0.0, 0.0])},
         {"light": torch.zeros(4, dtype=torch.float64)},
         {"light": torch.tensor([0.6, 0.0, 0.8, 1.5])},
