@@ -66,13 +66,14 @@ def load_reconstruction(folder: Path, row: RunRow, scene: int, count: int) -> Im
     path = _path(folder, row, scene)
     if not path.is_file():
         return None
-    with open_image(path, ("WEBP",)) as image:
-        strip = np.asarray(image.convert("RGB"))
+    advice = "Delete it: it is only shown in the report."
+    try:
+        with open_image(path, ("WEBP",)) as image:
+            strip = np.asarray(image.convert("RGB"))
+    except CorruptFile as error:
+        raise CorruptFile(f"{error} {advice}") from None
     if strip.shape[1] % count:
-        raise CorruptFile(
-            f"{path} is {strip.shape[1]} pixels wide; expected {count} images of equal width. Delete it: it is only "
-            "shown in the report."
-        )
+        raise CorruptFile(f"{path} is {strip.shape[1]} pixels wide; expected {count} images of equal width. {advice}")
     return np.stack(np.split(strip, count, axis=1))
 
 
