@@ -95,7 +95,8 @@ class Scene:
 
     def look(self, frame: int, place: int) -> bytes:
         """Give a key of the look of an object, which does not depend on its pose."""
-        parts = (self.what[frame, place], self.appearance.detail[place], self.appearance.own_scale[place])
+        look = self.appearance
+        parts = (self.what[frame, place], look.detail[place], look.own_scale[place], look.half_extent[place])
         return b"".join(part.numpy().tobytes() for part in parts)
 
     def new_id(self) -> int:

@@ -36,12 +36,12 @@ def test_a_camera_of_another_size_sees_the_same():
     torch.testing.assert_close(large.reshape(12, 2, 16, 4, 3).mean(dim=(1, 3)), small)
 
 
-def test_objects_look_alike_where_code_detail_and_what_the_detail_is_are_the_same():
+def test_objects_look_alike_where_code_and_appearance_are_the_same():
     scene = some_scene(objects=2)
     look = scene.look(0, 0)
     assert replace(scene, center=scene.center + 1).look(0, 0) == look
     assert replace(scene, what=scene.what + 0.1).look(0, 0) != look
-    for name in ("detail", "own_scale"):
+    for name in ("detail", "own_scale", "half_extent"):
         changed = scene.with_appearance(**{name: getattr(scene.appearance, name) + 0.1})
         assert changed.look(0, 0) != look
 
