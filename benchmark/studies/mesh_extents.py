@@ -19,12 +19,14 @@ from datagen.storage.reader import Dataset
 from obpose.model.obpose import ObPose
 from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import Inferred, infer_labelled
-from obpose.scenes.meshes import SURFACE, object_mesh
+from obpose.scenes.meshes import SURFACE, SURFACE_OF_FIELD, object_mesh
 from obpose.scenes.refine import STEPS
 
-DENSITIES = (SURFACE, 0.7, 0.9)
+DENSITIES = (SURFACE, 0.7, SURFACE_OF_FIELD)
 LEAST_PIXELS, LEAST_IOU = 30, 0.7
 """Objects are compared if they have this many pixels, and an inferred mask of this overlap."""
+
+_FIELDS = ("segmentation", "poses/quaternion_wxyz", "objects/size")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +44,10 @@ def run(flags: Flags) -> list[Line]:
             raise UsageError(f"--{name} {value}: expected {least} or more.")
     origin, folder = flags.origin(), flags.folder()
     split = Dataset(folder).split(flags.split)
+    if not split.has(*_FIELDS):
+        raise UsageError(
+            f"{folder} lacks masks, poses or sizes of objects; expected a dataset with {', '.join(_FIELDS)}."
+        )
     errors: dict[tuple[float, bool], list[np.ndarray]] = {}
     for index in range(min(flags.scenes, len(split))):
         inferred = infer_labelled(origin, read_clip(folder, flags.split, index), refinements=flags.refine)

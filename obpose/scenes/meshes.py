@@ -25,8 +25,9 @@ from obpose.scenes.scene import Scene
 FORMATS = (".ply", ".glb")
 _EMPTY = -20.0
 """Logit outside of the box."""
-SURFACE = 0.5
-"""Density at the surface, as a share of the largest: docs/create.md, section Meshes."""
+SURFACE, SURFACE_OF_FIELD = 0.5, 0.9
+"""Density at the surface, as a share of the largest, of meshes that shrink to what frames showed, and of others whose
+objects have no extents: docs/create.md, section Meshes."""
 
 
 @torch.no_grad()
@@ -38,7 +39,7 @@ def object_mesh(
     frame: int = 0,
     resolution: int = 48,
     floor: float | None = None,
-    surface: float = SURFACE,
+    surface: float | None = None,
 ) -> trimesh.Trimesh:
     """Extract the surface of an object from its density (marching cubes, Lorensen and Cline 1987).
 
@@ -48,8 +49,8 @@ def object_mesh(
     outside.
 
     The field is evaluated at `resolution` points along each edge of the box. The mesh is cut at the height `floor` in
-    the world, metres, because no camera saw what is below a table. `surface` is the density there, as a share of the
-    largest.
+    the world, metres, because no camera saw what is below a table. `surface` is the density at the surface, as a share
+    of the largest; by default `SURFACE`, or `SURFACE_OF_FIELD` if the extents of the object are unknown.
 
     Raises:
         UsageError: there is no such object, or it is nowhere dense.
@@ -59,6 +60,9 @@ def object_mesh(
     steps = torch.linspace(-1, 1, resolution)
     lattice = torch.cartesian_prod(steps, steps, steps)
     center, rotation = scene.center[frame, place], scene.rotation[frame, place]
+    half_extent = scene.appearance.half_extent[place]
+    if surface is None:
+        surface = SURFACE if bool(half_extent.any()) else SURFACE_OF_FIELD
     # The level is the inverse of tanh(softplus(logit)) (paper, end of section Decoder).
     logits, level = model.object_field.density(lattice, codes)[0], math.log(math.expm1(math.atanh(surface)))
     if floor is not None:
@@ -80,7 +84,7 @@ def object_mesh(
     inwards = -F.normalize(torch.from_numpy(np.array(mesh.vertex_normals)).to(lattice.dtype) @ rotation, dim=-1)
     _, hidden = model.object_field.density(in_box + 2 * JITTER / settings.pose.box_size * inwards, codes)
     colours = model.object_field.colour(hidden, inwards, codes)
-    seen = _shrink(in_box, 2 * scene.appearance.half_extent[place] / settings.pose.box_size)
+    seen = _shrink(in_box, 2 * half_extent / settings.pose.box_size)
     mesh.vertices = from_box(seen, center, rotation, settings.pose.box_size).numpy()
     mesh.visual = ColorVisuals(mesh, vertex_colors=to_bytes(colours))
     return mesh

@@ -11,6 +11,7 @@ from datagen.errors import EXIT_USAGE
 from obpose.scenes.infer import Inferred
 from tests.obpose.analytic_fields import BallField
 from tests.obpose.scenes.small_scenes import some_model, some_scene
+from tests.worlds.imported import import_balls
 
 
 def test_objects_are_matched_by_the_overlap_of_their_masks():
@@ -43,6 +44,12 @@ def test_errors_are_relative_extents_along_the_true_axes():
             assert errors[2] == pytest.approx(0.6, abs=0.03)
         else:
             np.testing.assert_allclose(errors, [0.25, 0.0, 1.0], atol=0.03)
+
+
+def test_a_dataset_without_poses_is_refused(tmp_path: Path, checkpoint: Path, capsys: pytest.CaptureFixture[str]):
+    folder = import_balls(tmp_path).folder
+    assert main(["mesh_extents", "--data", str(folder), "--checkpoint", str(checkpoint)]) == EXIT_USAGE
+    assert "lacks masks, poses or sizes of objects" in capsys.readouterr().err
 
 
 def test_it_runs_on_a_dataset_and_refuses_numbers_out_of_range(

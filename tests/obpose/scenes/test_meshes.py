@@ -12,7 +12,7 @@ from obpose.model.nerf.along import JITTER
 from obpose.model.nerf.field import Conditioning, Hidden
 from obpose.model.obpose import ObPose
 from obpose.scenes import edit
-from obpose.scenes.meshes import object_mesh, to_glb, write_mesh
+from obpose.scenes.meshes import SURFACE, SURFACE_OF_FIELD, object_mesh, to_glb, write_mesh
 from obpose.scenes.scene import Scene
 from tests.obpose.analytic_fields import BallField
 from tests.obpose.scenes.small_scenes import some_model, some_scene
@@ -79,6 +79,16 @@ def test_the_surface_is_where_the_density_is_as_large_as_given(density: float):
     away = torch.from_numpy(mesh.vertices - scene.center[0, 0].numpy()).norm(dim=1) * 2 / 0.2
     found = torch.tanh(torch.nn.functional.softplus(10 * (0.5 - away)))
     torch.testing.assert_close(found, torch.full_like(found, density), atol=0.01, rtol=0)
+
+
+def test_the_surface_is_denser_if_frames_showed_no_extents():
+    """Fields are larger than objects, and only a known extent makes up for it."""
+    model, scene = ball_scene(0.5)
+    model.object_field = Fuzzy(0.5, latent=32)
+    for extent, density in ((0.0, SURFACE_OF_FIELD), (1.0, SURFACE)):
+        half_extent = torch.full_like(scene.appearance.half_extent, extent)
+        found = object_mesh(model, scene.with_appearance(half_extent=half_extent), 1)
+        assert found.volume == pytest.approx(object_mesh(model, scene, 1, surface=density).volume, rel=1e-6)
 
 
 def cubes() -> tuple[ObPose, Scene]:
