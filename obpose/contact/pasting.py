@@ -22,7 +22,7 @@ from obpose.geometry import unproject
 from obpose.random_streams import training_rng
 
 LEAST_PIXELS = 6
-"""Number of pixels of a 64x64 image from which a component is a pseudo-object."""
+"""Number of pixels of a 64x64 image, narrow holes included, from which a component is a pseudo-object."""
 HOLE = 1.5
 """Largest distance, in pixels, of a pixel without depth from one whose point it takes in the search of components."""
 MOST_OBJECTS = 6
