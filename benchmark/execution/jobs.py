@@ -260,7 +260,6 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     options |= {"changes": dict(changes)} if changes else {}
     budget = job.seconds / 2 if tuned else job.seconds
     chosen = choose(spec, options, train, val, truths, seed=job.seed, budget=budget).options
-    # Final fit.
     scorer = ValidationScorer(val, truths, job.state[1]) if job.folder and labelled else None
     segmenter = spec.build({**chosen, **({"folder": job.folder, "watch": scorer} if job.folder else {})})
     segmenter.fit(train, val, seed=job.seed, budget=budget)

@@ -135,7 +135,6 @@ class ContactModel(Trainable):
         embeddings = rearrange(outputs.embedding.cpu().numpy(), "i c h w -> i h w c")
         points = rearrange(unproject(observation).cpu().numpy(), "b f v h w c -> (b f v) h w c")
         colours = rearrange(images.rgb.cpu().numpy(), "i c h w -> i h w c")
-        # Affinities of neighbouring foreground pixels.
         pairs = [
             foreground_pairs(mask, affinities, scale=scale, components=parts)
             for mask, affinities, parts in zip(

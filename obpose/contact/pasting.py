@@ -183,7 +183,6 @@ class ClipsWithPasted:
         places = rng.integers(
             (len(self), self._pasted.frames_of_clip), size=(round(IMAGES_PER_FRAME * frames), 2)
         ).tolist()
-        # Pasted images, whose contacts are known.
         images = [self._pasted.window(other, first, 1) for other, first in places]
         pasted = {name: torch.stack([image[name] for image in images]) for name in images[0]}
         window = self._source.window(index, start, frames)

@@ -54,7 +54,6 @@ class Learner:
         tensors = {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}
         noise = noise_of(step, seed=self._config.seed, process=self._fabric.global_rank, device=device)
         terms: dict[str, Tensor] = self._module(tensors, step=step, fraction=fraction, generator=noise)
-        # Backward pass; means over processes are for the record.
         self._fabric.backward(terms["total"])
         norm = self._clip()
         values = torch.stack([term.detach().float() for term in terms.values()])

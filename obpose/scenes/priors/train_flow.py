@@ -201,7 +201,6 @@ def _restore(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimize
     tensors, metadata = read_tensors(path, advice)
     parts: dict[str, State] = {"flow": {}, "mean": {}, "optimiser": {}}
     try:
-        # Split the file by the first part of its names.
         for name, tensor in tensors.items():
             part, _, rest = name.partition(".")
             parts[part][rest] = tensor
