@@ -32,7 +32,7 @@ _LEAST, _LESS = 1e-3, 0.25
 """Density over sigma_max, and share of the threshold, below which cells are empty if their neighbours are, too."""
 _BALL = 0.8661
 """Radius of the ball around a cube, in edges: slightly more than sqrt(3) / 2."""
-_CHUNK = 1 << 17
+_CHUNK = 1 << 15
 """Number of points of a grid that are evaluated at once, to bound memory."""
 
 Point = Float[Tensor, "3"]
