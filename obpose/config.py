@@ -210,6 +210,9 @@ class TrainConfig:
     decay: Literal["cosine", "halving", "none"] = "cosine"
     """Learning rate schedule. `cosine`: to zero at the end of the budget; `halving`: exponential, to a half at its end.
     [paper: none]"""
+    rise: float = 0.0
+    """Share of the budget over which the learning rate rises from 0, linearly; the schedule of `decay` multiplies it.
+    [ours]"""
     clip: float = 1.0
     """Largest norm of the gradient; 0 for no clipping. [ours]"""
     warmup: int = 150

@@ -51,7 +51,7 @@ TRAINING: tuple[Rule, ...] = (
     positive("train.learning_rate train.minutes"),
     not_negative("train.rays train.clip train.warmup"),
     ("train.seed", lambda value: 0 <= value < 2**63, "0 or more, and less than 2^63"),
-    ("train.object_rays", lambda value: 0 <= value < 1, "0 or more, and less than 1"),
+    ("train.object_rays train.rise", lambda value: 0 <= value < 1, "0 or more, and less than 1"),
 )
 """Rules for the training of every architecture."""
 SLOTS: tuple[Rule, ...] = (

@@ -17,9 +17,9 @@ _NAMED, _LONGEST = 3, 80
 """Largest number of unknown values that a message names, and of characters that it shows of a name."""
 _LARGEST = 2**63 - 1
 """Largest absolute value of a whole number."""
-ADDED_LATER: Plain = {"image_scale": 1}
-"""Values, with their defaults, that older files lack. Settings of results leave them out at their defaults, so that
-older results keep their keys."""
+ADDED_LATER: Plain = {"image_scale": 1, "rise": 0.0}
+"""Values that older files lack, with what older versions did. Settings of results leave them out where they have these
+values, so that older results keep their keys."""
 
 
 def to_plain(config: Any) -> Plain:
@@ -38,10 +38,12 @@ def from_plain(plain: Mapping[str, Any], kind: type = Config) -> Any:
         names = ", ".join(brief(name, _LONGEST) for name in unknown[:_NAMED]) + ", ..." * (len(unknown) > _NAMED)
         raise UsageError(f"The configuration has unknown values, {names}: it was written by another version.")
     changes = {name: _conform(value, kinds[name], name) for name, value in values.items()}
-    if missing := [name for name in kinds if name not in values and name.rpartition(".")[2] not in ADDED_LATER]:
+    missing = [name for name in kinds if name not in values]
+    later = {name: ADDED_LATER[last] for name in missing if (last := name.rpartition(".")[2]) in ADDED_LATER}
+    if missing := [name for name in missing if name not in later]:
         others = f" and {counted(len(missing) - 1, 'other value')}" if missing[1:] else ""
         raise UsageError(f"The configuration lacks {missing[0]}{others}: the file is damaged, or was written by hand.")
-    return override(kind(), changes)
+    return override(kind(), later | changes)
 
 
 def _flatten(plain: Mapping[str, Any], place: str) -> Iterator[tuple[str, Any]]:

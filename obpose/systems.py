@@ -18,6 +18,7 @@ from obpose.config import Config, override
 from obpose.config_bounds import check_bounds
 from obpose.config_text import dotted_values
 from obpose.contact.config import (
+    RISE,
     ContactConfig,
     ContactObPoseConfig,
     OgcConfig,
@@ -208,6 +209,7 @@ SYSTEMS: dict[str, System] = {
             "model.attention.kind": "given",
             "model.pose.max_translation": 0.0,
             "loss.air_growth": 10.0,
+            "train.rise": RISE,
             "train.minutes": 24.0,
         },
         DESCRIPTIONS["obpose-contact"],

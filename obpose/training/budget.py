@@ -50,11 +50,12 @@ HALVINGS = 1
 
 def learning_rate(config: TrainConfig, fraction: float) -> float:
     """Learning rate at a fraction of the budget."""
+    rate = config.learning_rate * (fraction / config.rise if fraction < config.rise else 1.0)
     if config.decay == "none":
-        return config.learning_rate
+        return rate
     if config.decay == "halving":
-        return config.learning_rate * 0.5 ** (HALVINGS * fraction)
-    return config.learning_rate * 0.5 * (1 + math.cos(math.pi * fraction))
+        return rate * 0.5 ** (HALVINGS * fraction)
+    return rate * 0.5 * (1 + math.cos(math.pi * fraction))
 
 
 class Stopwatch:

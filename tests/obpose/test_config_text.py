@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from obpose.config import Config
+from obpose.config import Config, override
 from obpose.config_text import differences, from_plain, parse_changes, to_plain
 from obpose.contact.config import ContactConfig
 from obpose.errors import UsageError
@@ -41,8 +41,8 @@ def test_values_may_not_be_missing(lost: list[str], message: str):
 
 def test_later_values_may_be_missing():
     plain = to_plain(ContactConfig())
-    del plain["model"]["image_scale"]
-    assert from_plain(plain, ContactConfig) == ContactConfig()
+    del plain["model"]["image_scale"], plain["train"]["rise"]
+    assert from_plain(plain, ContactConfig) == override(ContactConfig(), {"train.rise": 0.0})
 
 
 @pytest.mark.parametrize(

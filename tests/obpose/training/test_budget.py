@@ -1,6 +1,8 @@
+import dataclasses
 import itertools
 import math
 import time
+from typing import Any
 
 import pytest
 import torch
@@ -43,6 +45,14 @@ def test_the_learning_rate_falls_from_its_value_to_zero():
     assert rates[4] == 0.0
     assert rates == sorted(rates, reverse=True)
     assert learning_rate(TrainConfig(learning_rate=0.4, decay="none"), 0.9) == 0.4
+
+
+@pytest.mark.parametrize("decay", ["cosine", "halving", "none"])
+def test_a_rising_learning_rate_starts_at_zero_and_then_follows_the_schedule(decay: Any):
+    plain = TrainConfig(learning_rate=0.4, decay=decay)
+    rising = dataclasses.replace(plain, rise=0.2)
+    parts = [learning_rate(rising, part) / learning_rate(plain, part) for part in (0.0, 0.05, 0.1, 0.2, 0.6)]
+    assert parts == pytest.approx([0.0, 0.25, 0.5, 1.0, 1.0])
 
 
 def test_halving_halves_over_the_budget():
