@@ -23,7 +23,7 @@ from typing import IO, Protocol, TypeVar, runtime_checkable
 
 from benchmark.machine import ROOT, cores, machine_mib, resident_mib
 from datagen.console.text import counted
-from datagen.errors import EXIT_INTERRUPTED, Busy
+from datagen.errors import Busy
 
 LOGS = "logs"
 MEMORY_SHARE = 0.9
@@ -158,8 +158,9 @@ def run_isolated(job: Runnable, limits: Limits, stop: threading.Event, on_event:
         finally:
             _kill(process)
     # Keep the log of failures only.
-    if not outcome.reason or log.stat().st_size == 0:
-        log.unlink()
+    with suppress(FileNotFoundError):  # another command that makes the same row may have removed it
+        if not outcome.reason or log.stat().st_size == 0:
+            log.unlink()
     return outcome
 
 
@@ -198,6 +199,8 @@ def _supervise(
             line = lines.get(timeout=_POLL_SECONDS)
         # Limits are checked while there is nothing to read.
         except queue.Empty:
+            if process.poll() is not None:
+                _kill(process)  # children that the model has forked keep the pipe open after a crash
             if reason := _exceeded_limit(process, limits, deadline, stop):
                 return Outcome(tuple(events), reason)
             continue
@@ -240,8 +243,6 @@ def _ending(code: int, done: bool) -> str:
         return "was killed, most likely because memory ran out"
     if code < 0:
         return f"crashed with {signal.Signals(-code).name}"
-    if code == EXIT_INTERRUPTED:
-        return "interrupted"
     return f"its process ended by itself with exit code {code} before it returned a result"
 
 

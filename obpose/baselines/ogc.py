@@ -25,7 +25,8 @@ from obpose.contact.model import ContactModel
 from obpose.contact.motion.key_frames import follow_objects
 from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, Followed, register
 from obpose.data.clips import ClipSource
-from obpose.geometry import unproject
+from obpose.errors import UsageError
+from obpose.geometry import full_precision, unproject
 from obpose.types import Observation, Segmentation
 
 NEAREST, BALL = (8, 0.02, 3.0), (16, 0.04, 1.0)
@@ -53,7 +54,13 @@ class Ogc(ContactModel):
         return self.config.model.slots
 
     def training_source(self, source: ClipSource) -> ClipSource:
-        """Give the clips themselves."""
+        """Give the clips themselves.
+
+        Raises:
+            UsageError: they have a single frame.
+        """
+        if source.frames_of_clip < 2:
+            raise UsageError("The clips have one frame; expected two or more, as OGC learns from motion. Choose clips.")
         return source
 
     def masks(self, images: Images) -> Float[Tensor, "image slot height width"]:
@@ -126,10 +133,18 @@ def _posed(images: Images, generator: torch.Generator | None) -> Images:
     angle, scale = (2 * draw[0] - 1) * math.pi, 0.9 + 0.2 * draw[1]
     c, s, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
     turn = torch.stack([c, -s, zero, s, c, zero, zero, zero, one], dim=-1).view(-1, 3, 3)
-    points, normals = (torch.einsum("nij,njhw->nihw", turn, value) for value in (images.points, images.normals))
+    points, normals = (_turned(value, turn) for value in (images.points, images.normals))
     return replace(images, points=points * scale[:, None, None, None], normals=normals)
 
 
+@full_precision
+def _turned(
+    vectors: Float[Tensor, "image 3 height width"], turn: Float[Tensor, "image 3 3"]
+) -> Float[Tensor, "image 3 height width"]:
+    return torch.einsum("nij,njhw->nihw", turn, vectors)
+
+
+@full_precision
 def rigid_motions(
     points: Float[Tensor, "point 3"], moved: Float[Tensor, "point 3"], masks: Float[Tensor, "slot point"]
 ) -> tuple[Float[Tensor, "slot 3 3"], Float[Tensor, "slot 3"]]:
@@ -144,6 +159,7 @@ def rigid_motions(
     return rotation, two - torch.einsum("kij,kj->ki", rotation, one)
 
 
+@full_precision
 def dynamic_loss(
     points: Float[Tensor, "point 3"], moved: Float[Tensor, "point 3"], masks: Float[Tensor, "slot point"]
 ) -> Float[Tensor, ""]:

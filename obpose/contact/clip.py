@@ -37,7 +37,7 @@ class Image(NamedTuple):
     mask: Bool[np.ndarray, "height width"]
     """Foreground."""
     points: Float[np.ndarray, "height width 3"]
-    """Surface points in metres, in the same frame of reference for all images."""
+    """Surface points in metres, in one frame of reference with z upwards."""
     rgb: Float[np.ndarray, "height width 3"]
     """0 to 1."""
     pairs: Pairs
@@ -56,7 +56,7 @@ class LabelledImage(NamedTuple):
     mask: Bool[np.ndarray, "height width"]
     """Foreground."""
     points: Float[np.ndarray, "height width 3"]
-    """Surface points in metres, in the same frame of reference for all images."""
+    """Surface points in metres, in one frame of reference with z upwards."""
     rgb: Float[np.ndarray, "height width 3"]
     """0 to 1."""
     labels: Int64[np.ndarray, "pixel"]

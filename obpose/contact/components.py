@@ -4,7 +4,7 @@ Components are the pseudo-objects for training without labels. The network predi
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Int64, UInt8
+from jaxtyping import Bool, Float, Int64
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -30,7 +30,7 @@ def image_components(
     *,
     gap: float,
     least: int,
-) -> UInt8[np.ndarray, "height width"]:
+) -> Int64[np.ndarray, "height width"]:
     """Label the connected components of an image.
 
     Args:
@@ -40,9 +40,9 @@ def image_components(
         least: Components with fewer pixels are left out.
 
     Returns:
-        Components from 1 in the order of their first pixels, 0 elsewhere; only the first 255 are labelled.
+        Components from 1 in the order of their first pixels, 0 elsewhere.
     """
-    labels = np.zeros(standing.shape, np.uint8)
+    labels = np.zeros(standing.shape, np.int64)
     count = int(np.count_nonzero(standing))
     if not count:
         return labels
@@ -53,7 +53,7 @@ def image_components(
     found = connected_components(graph, directed=False)[1]
     sizes = np.bincount(found)
     names = np.where(sizes >= least, np.cumsum(sizes >= least), 0)
-    labels[standing] = np.where(names > 255, 0, names)[found]
+    labels[standing] = names[found]
     return labels
 
 

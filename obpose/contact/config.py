@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from obpose.config import Config, TrainConfig
-from obpose.config_bounds import TRAINING, Rule, check_bounds, check_values, expect, not_negative, positive
+from obpose.config_bounds import SLOTS, TRAINING, Rule, check_bounds, check_values, expect, not_negative, positive
 
 LEAST_FLOOR = 0.0015
 """Height in metres above the table from which points belong to objects, for exact depth."""
@@ -102,7 +102,7 @@ def check_contact_bounds(config: ContactConfig) -> None:
     Raises:
         UsageError: a value is out of bounds; the message names the first one and what is expected.
     """
-    check_values(config, (*TRAINING, *model_rules("model")))
+    check_values(config, (*TRAINING, *model_rules("model"), *(SLOTS if isinstance(config, OgcConfig) else ())))
     frames, views = config.train.frames, config.train.views
     needed = 2 if isinstance(config, OgcConfig) else 1
     expect(frames == needed, "train.frames", frames, f"{needed}, as the network sees single images, or pairs of them")

@@ -9,8 +9,9 @@ from jaxtyping import Bool, Float, Int64
 from obpose.contact.grouping import Pairs
 from obpose.contact.linkage import average_linkage
 
-AGREEMENT = 1.0
-"""Attraction of two fragments that all labellings join, and repulsion of those that all divide."""
+AGREEMENT, DISTANT_AGREEMENT = 1.0, 2.0
+"""Attraction of two fragments that all labellings join, and repulsion of those that all divide: per pair of pixels with
+an affinity, and in the term of `OVER_TIME`."""
 OVER_TIME = 0.1
 """Weight of the labellings' agreement about two fragments that need not be neighbours in any image, per pixel of the
 smaller one: it joins the parts of an object that are visible at different times."""
@@ -77,7 +78,8 @@ def gather(fragments: Labels, shared: Int64[np.ndarray, "fragment labelling"], p
     sizes = np.bincount(np.concatenate(fragments), minlength=count)
     distant = OVER_TIME * np.minimum(sizes[:, None], sizes)
     weight = number + distant
-    attraction = (total + number * AGREEMENT * agreement + distant * 2 * agreement) / np.where(weight > 0, weight, 1)
+    agreed = (number * AGREEMENT + distant * DISTANT_AGREEMENT) * agreement
+    attraction = (total + agreed) / np.where(weight > 0, weight, 1)
     upper = np.triu(np.ones((count, count), bool), 1)
     weight, attraction = (np.where(upper, each, 0) for each in (weight, attraction))
     return Evidence(attraction + attraction.T, weight + weight.T)

@@ -7,7 +7,7 @@ from einops import rearrange, repeat
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from obpose.geometry import unproject
+from obpose.geometry import full_precision, unproject
 from obpose.types import LabelledObservation, Observation, PastedObservation
 
 CHANNELS = 11
@@ -57,6 +57,7 @@ class Images:
         return replace(self, **cut)
 
 
+@full_precision
 def images_of(observation: Observation, *, center: Float[Tensor, "3"], table: float) -> Images:
     """Arrange the images of an observation: batch, then frame, then view."""
     frames = observation.depth.shape[1]
@@ -116,7 +117,7 @@ def augmented(images: Images, generator: torch.Generator | None) -> Images:
 
 
 def cropped(images: Images, size: int, generator: torch.Generator | None) -> Images:
-    """Cut a square window of `size` pixels out of each image, at random, such that it holds the objects if they fit."""
+    """Cut a random window of at most `size` pixels square out of each image; it holds the objects if they fit."""
     height, width = images.labels.shape[1:]
     if size >= max(height, width):
         return images

@@ -26,6 +26,7 @@ from obpose.contact.network import UNet
 from obpose.contact.pasting import PastedClips
 from obpose.data.clips import ClipSource
 from obpose.geometry import unproject
+from obpose.model.attention.given import Labels
 from obpose.trainable import Trainable
 from obpose.types import Observation, PastedObservation, Segmentation
 
@@ -112,19 +113,22 @@ class ContactModel(Trainable):
 
         `attention` holds the groups of single images, whose labels differ between images.
         """
-        batch, frames, views = observation.depth.shape[:3]
-        bias, gap = self.config.model.bias, self.config.model.gap
         images = self.clip_images(observation)
+        singles = [label_map(image.mask, image.groups(self.config.model.bias)) for image in images]
+        single = torch.from_numpy(np.stack(singles)).view(observation.depth.shape).to(observation.depth.device)
+        return Segmentation(labels=self._over_time(images, observation), attention=single)
+
+    @torch.no_grad()
+    def label_objects(self, observation: Observation) -> Labels:
+        """Give the labels of `segment`, without the groups of single images."""
+        return self._over_time(self.clip_images(observation), observation)
+
+    def _over_time(self, images: list[ClipImage], observation: Observation) -> Labels:
+        frames, views = observation.depth.shape[1:3]
+        bias, gap = self.config.model.bias, self.config.model.gap
         clips = [images[first : first + frames * views] for first in range(0, len(images), frames * views)]
-        labels = [segment_clip(clip, bias=bias, gap=gap, views=views) for clip in clips]
-        singles = [label_map(image.mask, image.groups(bias)) for image in images]
-        over_time, single = (
-            torch.from_numpy(rearrange(value, "(b f v) h w -> b f v h w", b=batch, f=frames)).to(
-                observation.depth.device
-            )
-            for value in (np.concatenate(labels), np.stack(singles))
-        )
-        return Segmentation(labels=over_time, attention=single)
+        labels = np.concatenate([segment_clip(clip, bias=bias, gap=gap, views=views) for clip in clips])
+        return torch.from_numpy(labels).view(observation.depth.shape).to(observation.depth.device)
 
     @torch.no_grad()
     def clip_images(self, observation: Observation) -> list[ClipImage]:

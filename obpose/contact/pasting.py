@@ -35,6 +35,8 @@ LARGEST_SCALING = 0.12
 """Largest relative change of the distance from the camera: pasted objects keep their size in the image."""
 LEAST_VISIBLE, LEAST_LEFT = 0.5, 0.4
 """Shares of a pasted object and of each other one that must be visible afterwards."""
+LARGEST_LABEL = 255
+"""Further components of an image are no pseudo-objects; they lie below the others."""
 CHECKED = 32
 """Number of clips, from the first on, one of which must show pseudo-objects."""
 IMAGES_PER_FRAME = 3.2
@@ -113,7 +115,7 @@ class PastedClips:
         self._scenes: dict[int, PseudoScene] = {}
         if not any(self._scene(index).count for index in range(min(CHECKED, len(source)))):
             raise UsageError(
-                f"The first training clips show nothing more than {floor * 1000:g} mm above z = {table:g} m; expected "
+                f"The first clips show nothing more than {floor * 1000:g} mm above z = {table:g} m; expected "
                 "objects on a table. If the table is elsewhere, give its height: --set model.table=..., and for "
                 "obpose-contact --set contact.table=... too."
             )
@@ -228,7 +230,7 @@ def pseudo_scenes(window: Mapping[str, Tensor], *, table: float, floor: float, g
         yield PseudoScene(
             rgb=rgb[frame, view].copy(),
             depth=np.where(measured, depth[frame, view], 0).astype(np.float32),
-            labels=np.where(measured, labels, 0).astype(np.uint8),
+            labels=np.where(measured & (labels <= LARGEST_LABEL), labels, 0).astype(np.uint8),
             k=observation.k[0, view].numpy(),
             world_from_camera=observation.world_from_camera[0, view].numpy(),
         )
@@ -277,8 +279,6 @@ def _inner_colours(rgb: Image, mask: Bool[np.ndarray, "height width"]) -> Float3
 def paste(scene: PseudoScene, cutout: Cutout, rng: np.random.Generator) -> PseudoScene:
     """Move a cut-out object next to one of a scene; the scene is unchanged if no place that is tried is suitable."""
     target = scene.labels == rng.integers(1, scene.count + 1)
-    if not target.any():
-        return scene
     rgb = cutout.rgb
     if rng.random() < 0.5:
         # Colour alone must not tell the two apart.

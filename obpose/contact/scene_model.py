@@ -116,7 +116,7 @@ class ContactObPose(ObPose):
             observation: Clips.
             labels: Segmentation by another model, instead of the contact model's; constant over time.
         """
-        given = self.contact.segment(observation).labels if labels is None else labels
+        given = self.contact.label_objects(observation) if labels is None else labels
         found = super().segment(observation, given)
         return SceneSegmentation(found.labels, self.labels_by_density(observation, found.inference), found.inference)
 

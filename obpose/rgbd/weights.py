@@ -75,7 +75,7 @@ def segment_clip(checkpoint: str, clip: Observation) -> Int[Tensor, "1 frame vie
     model = _masks_alone(load(find_checkpoint(Path(checkpoint)))[0])
     if not isinstance(model, ContactModel):
         raise UsageError(f"--masks {checkpoint}: expected weights of obpose-contact, contact-masks or supervised.")
-    return model.segment(clip).labels
+    return model.label_objects(clip)
 
 
 def _segment(model: Trainable, observation: Observation) -> Labels:

@@ -80,7 +80,7 @@ def _rows(path: Path, steps: int | None) -> list[Row]:
     foreign = UsageError(f"{path} is no table of a training; it would be overwritten. Give another --out, or move it.")
     try:
         found = csv.DictReader(io.StringIO(whole))
-        if whole and (found.fieldnames or [""])[0] != "step":
+        if text and (not whole or (found.fieldnames or [""])[0] != "step"):
             raise foreign
         return [row for row in found if _is_whole(row) and (steps is None or int(row["step"]) <= steps)]
     except csv.Error:

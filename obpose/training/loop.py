@@ -105,6 +105,7 @@ def train(
 
     Raises:
         UsageError: there are no clips, or the folder holds a run of another configuration or is in use.
+        CorruptFile: the checkpoint in the folder is damaged.
         Diverged: losses or gradients are not finite.
         Interrupted: SIGTERM or SIGINT was received; the state is saved.
     """
@@ -128,7 +129,9 @@ def train(
             else None
         )
         clips = learner.model.training_source(source)
-        run = _Run(fabric, learner, clips, val_source, config, progress, record, report, look, score)
+        validates = val_source is not None and len(val_source) > 0 and fabric.is_global_zero
+        val_clips = learner.model.training_source(val_source) if validates else None
+        run = _Run(fabric, learner, clips, val_source, val_clips, config, progress, record, report, look, score)
         try:
             with stop_on_signals() if folder else nullcontext(StopRequest()) as request:
                 run.go_on(request)
@@ -159,6 +162,9 @@ class _Run:
     learner: Learner
     source: ClipSource
     val_source: ClipSource | None
+    """Clips for scores and pictures."""
+    val_clips: ClipSource | None
+    """What the model makes of them for losses; only in the first process."""
     config: Configuration
     progress: _Progress
     record: Record | None
@@ -173,7 +179,7 @@ class _Run:
         budget, watch = Budget.of(settings), Stopwatch(self.fabric.device, progress.seconds)
         fraction = budget.fraction(progress.step, progress.seconds)
         self._save()
-        feed = self._feed()
+        feed = self._feed() if fraction < 1 else iter(())
         while fraction < 1:
             # One step; its time counts towards the budget.
             rate = learning_rate(settings, fraction)
@@ -228,10 +234,11 @@ class _Run:
             return
         progress, model, device = self.progress, self.learner.model, self.fabric.device
         # Losses and score on the validation clips.
-        if self.val_source is not None and len(self.val_source):
+        if self.val_source is not None and self.val_clips is not None:
             point = validate(
                 model,
                 self.val_source,
+                self.val_clips,
                 self.config.train,
                 step=progress.step,
                 fraction=fraction,

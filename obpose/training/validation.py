@@ -27,7 +27,7 @@ def segment_clip(model: Trainable, clip: Observation, views: Views) -> Labels:
 
 
 CLIPS = 16
-"""Number of clips used, from the first on; the others are reserved for model comparisons."""
+"""Number of clips used, from the first on. Images that are pasted for losses also show objects of later clips."""
 SEGMENTATION = "segmentation"
 """Name of the labels in the windows of a labelled source."""
 
@@ -77,6 +77,7 @@ class CurvePoint:
 def validate(
     model: Trainable,
     source: ClipSource,
+    losses_source: ClipSource,
     config: TrainConfig,
     *,
     step: int,
@@ -85,10 +86,20 @@ def validate(
     device: torch.device,
     score: Score | None,
 ) -> CurvePoint:
-    """Compute losses in training mode and, if a score is given, score the segmentations in evaluation mode."""
-    losses = validation_losses(
-        model, model.training_source(source), config, step=step, fraction=fraction, device=device
-    )
+    """Compute losses in training mode and, if a score is given, score the segmentations in evaluation mode.
+
+    Args:
+        model: The model.
+        source: Clips to score.
+        losses_source: `Trainable.training_source` of these clips.
+        config: Settings of the training.
+        step: Number of finished steps.
+        fraction: Share of the budget that is used.
+        seconds: Time spent in training steps.
+        device: Where the model is.
+        score: ARI-FG from the true and the predicted labels of a clip; None to compute losses only.
+    """
+    losses = validation_losses(model, losses_source, config, step=step, fraction=fraction, device=device)
     if score is None:
         return CurvePoint(step, seconds, losses, None)
     model.eval()

@@ -7,7 +7,9 @@ import torch
 from torch import Tensor
 
 from obpose.baselines.obsurf.encoder import project
+from obpose.baselines.ogc import rigid_motions
 from obpose.config import LatentConfig
+from obpose.contact.images import images_of
 from obpose.geometry import from_box, to_box, unproject, view_directions
 from obpose.model.layers.kpconv import influence, kernel_points
 from obpose.model.nerf.voxels import observed_free
@@ -44,6 +46,8 @@ COMPUTATIONS: dict[str, Callable[[], Tensor]] = {
             radius=LatentConfig().radius,
         ).influences
     ),
+    "contact inputs": lambda: images_of(SCENE, center=torch.zeros(3), table=0.0).inputs(),
+    "rigid motions": lambda: rigid_motions(draw(20, 3), draw(20, 3, seed=1), draw(2, 20, seed=2))[0],
     "centres": lambda: observed_center(
         draw(1, 1, 3, 500).log_softmax(dim=2),
         draw(1, 1, 500, 3, seed=4),

@@ -38,10 +38,10 @@ Pairs = tuple[Float[np.ndarray, "pair 3"], Float[np.ndarray, "pair 3"]]
 
 
 class Cloud(NamedTuple):
-    """Points above the table in one frame, over all views."""
+    """Points above the table of one image, or of all views of a frame."""
 
     points: Points
-    """Positions in metres, in the frame of the first camera."""
+    """Positions in metres, in one frame of reference for the clip; `rigidity` and `boxes` expect z upwards."""
     colours: Points
     """RGB in 0..1, times `COLOUR_SCALE`."""
 

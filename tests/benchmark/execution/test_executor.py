@@ -1,4 +1,5 @@
 import os
+import sys
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -14,7 +15,7 @@ from tests.processes import in_this_process
 
 @dataclass(frozen=True)
 class Steps:
-    """A job that announces its results in order; `fail`, `busy` and `sleep` do what they are called instead."""
+    """A job that announces its results in order, except for those with the names of failures."""
 
     out: Path
     results: tuple[str, ...]
@@ -29,6 +30,11 @@ class Steps:
             if name == "sleep":
                 time.sleep(60)
             if name == "crash":
+                print("about to crash", file=sys.stderr, flush=True)
+                os.abort()
+            if name == "orphan":
+                if not os.fork():
+                    time.sleep(60)
                 os.abort()
             announce(name)
 
@@ -65,7 +71,12 @@ def test_work_of_another_process_stops_everything(tmp_path: Path, place: Callabl
 def test_a_crash_leaves_a_log_and_a_success_does_not(tmp_path: Path):
     _, failures = run(Steps(tmp_path, ("crash",)), Steps(tmp_path, ("a",)))
     assert [outcome.reason for outcome in failures] == ["crashed with SIGABRT"]
-    assert [path.name for path in (tmp_path / LOGS).iterdir()] in ([], ["crash.log"])
+    assert [path.name for path in (tmp_path / LOGS).iterdir()] == ["crash.log"]
+
+
+def test_a_crash_is_noticed_though_a_child_lives_on(tmp_path: Path):
+    _, failures = run(Steps(tmp_path, ("orphan",)), seconds=20.0)
+    assert [outcome.reason for outcome in failures] == ["crashed with SIGABRT"]
 
 
 def test_the_time_limit_holds_for_each_result(tmp_path: Path):

@@ -3,7 +3,10 @@ import pytest
 import torch
 
 from obpose.baselines.ogc import Ogc, dynamic_loss, invariance_loss, rigid_motions, scene_flow, smoothness_loss
-from obpose.contact.config import OgcConfig
+from obpose.config import override
+from obpose.contact.config import OgcConfig, check_contact_bounds
+from obpose.errors import UsageError
+from tests.obpose.toy import ToyClips
 from tests.worlds.observations import table_scene
 
 POINTS = torch.rand(2, 40, 3, generator=torch.Generator().manual_seed(0)) * 0.1
@@ -70,6 +73,17 @@ def test_flow_follows_two_bodies_that_are_apart():
     rgb = np.zeros_like(points)
     flow = scene_flow((points, points + shift), (rgb, rgb), (standing, standing), gap=0.03) - points[standing]
     np.testing.assert_allclose(flow, shift[standing], atol=0.002)
+
+
+def test_stills_are_refused():
+    with pytest.raises(UsageError, match="one frame; expected two or more"):
+        Ogc(OgcConfig()).training_source(ToyClips(frames=1))
+
+
+@pytest.mark.parametrize("slots", [-1, 0, 255])
+def test_the_number_of_masks_has_bounds(slots: int):
+    with pytest.raises(UsageError, match=f"model.slots is {slots}; expected"):
+        check_contact_bounds(override(OgcConfig(), {"model.slots": slots}))
 
 
 def test_a_step_learns_and_masks_cover_what_stands_on_the_table():

@@ -81,6 +81,7 @@ def test_rows_that_a_crash_damaged_are_dropped(tmp_path: Path):
         "\0step\n1\n",
         "\n\n",
         "step;total\n1;2\n",
+        "name,grade",
     ],
 )
 def test_a_table_of_somebody_else_is_not_overwritten(tmp_path: Path, text: str):

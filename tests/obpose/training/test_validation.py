@@ -81,9 +81,11 @@ def test_the_model_trains_on_afterwards():
             return super().segment(observation)
 
     model = Watched(toy_config())
+    source = ToyClips(clips=1, labels=True)
     point = validate(
         model,
-        ToyClips(clips=1, labels=True),
+        source,
+        source,
         toy_config().train,
         step=3,
         fraction=0.5,

@@ -38,6 +38,14 @@ def test_joint_residuals_grow_with_relative_motion(slip: float):
     assert found[0, 1] < 1e-6 if slip == 0 else found[0, 1] > 0.003
 
 
+def test_views_of_the_same_time_are_no_motion():
+    one, other = box(0, 0.0), box(1, 0.06)
+    images = [cloud(one, other), cloud(one, other + shift(0, 0.02))] * 3  # the second view shows another side
+    labels = [np.repeat([0, 1], 60)] * 6
+    assert common_motion(images, labels, views=2).excess[0, 1] < 1e-6
+    assert common_motion(images, labels).excess[0, 1] > 0.003
+
+
 def test_one_slip_counts_in_a_long_clip_as_in_a_short_one():
     one, other = box(0, 0.0), box(1, 0.06)
     frames = [cloud(one + shift(t), other + shift(t, 0.02 if t > 5 else 0.0)) for t in range(12)]
