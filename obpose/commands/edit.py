@@ -19,6 +19,7 @@ from obpose.commands.edit_arguments import Add, FitPrior, Infer, Mesh, Move, Ren
 from obpose.data.datasets import SceneDataset
 from obpose.errors import Interrupted, UsageError
 from obpose.model.resolution import spacing_note
+from obpose.pictures import Picture
 from obpose.rgbd.frames import prepare, trained_on
 from obpose.rgbd.reading import read_frames
 from obpose.rgbd.weights import DEFAULT, segment_clip, segment_reduced
@@ -33,7 +34,7 @@ from obpose.scenes.pictures import PICTURE, strip, turned, turntable, write_gif,
 from obpose.scenes.priors import PRIORS, load_prior
 from obpose.scenes.priors.interface import FitSettings
 from obpose.scenes.priors.sample import default_camera, sample_scene
-from obpose.scenes.rendering import Image, Renderer
+from obpose.scenes.rendering import Renderer
 from obpose.scenes.scene import Camera, Scene, axis_rotation
 from obpose.scenes.storage import load_scene, save_scene
 
@@ -90,9 +91,9 @@ def infer(values: Infer) -> None:
             print(
                 f"Object {name} of the masks is left out: it is outside of the workspace of the weights, or too small."
             )
-        for name in objects_outside(scene, origin.model):
-            print(f"Object {name} is left out: it is at the border of the workspace of the weights.")
-            scene = edit.remove(scene, name)
+    for name in objects_outside(scene, origin.model):
+        print(f"Object {name} is left out: it is at the border of the workspace of the weights.")
+        scene = edit.remove(scene, name)
     _show(scene, origin, values.out, values.resolution)
     if not scene.ids:
         print("No object was found: there is none, or the weights were trained too little or on other scenes.")
@@ -185,9 +186,15 @@ def render(values: Render) -> None:
     with new_file(values.out) as out:
         if values.turntable is not None:
             around = turntable(camera, origin.model.center, values.turntable)
-            images = [renderer.render(scene, frame, each) for each in around]
-            write_gif(out, (strip(image, scene.ids) for image in images), fps=FPS)
-            _tell_of_fog(images, float((origin.model.center - camera.world_from_camera[:3, 3]).norm()))
+            medians: list[float] = []
+
+            def picture(each: Camera) -> Picture:
+                image = renderer.render(scene, frame, each)
+                medians.append(float(image.depth.median()))
+                return strip(image, scene.ids)
+
+            write_gif(out, map(picture, around), fps=FPS)
+            _tell_of_fog(medians, float((origin.model.center - camera.world_from_camera[:3, 3]).norm()))
         elif values.clip:
             frames = range(scene.frames)
             write_gif(out, (strip(renderer.render(scene, each, camera), scene.ids) for each in frames), fps=FPS)
@@ -196,11 +203,11 @@ def render(values: Render) -> None:
     print(values.out)
 
 
-def _tell_of_fog(images: list[Image], distance: float) -> None:
-    """Warn if fog hides a scene that is `distance` metres away from the cameras."""
-    if fogged := sum(float(image.depth.median()) < distance / 2 for image in images):
+def _tell_of_fog(depths: list[float], distance: float) -> None:
+    """Warn if fog hides a scene that is `distance` metres away from the cameras, by the pictures' median depths."""
+    if fogged := sum(depth < distance / 2 for depth in depths):
         print(
-            f"In {fogged} of {counted(len(images), 'picture')} there is fog before the scene: the fields of "
+            f"In {fogged} of {counted(len(depths), 'picture')} there is fog before the scene: the fields of "
             "these weights are empty only where training cameras looked. Use weights that were trained with several "
             "views for turntables."
         )

@@ -200,7 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description=__doc__,
         arguments=arguments,
         interrupted="Interrupted; nothing was changed.",
-        out_of_memory="Out of memory; give a smaller --resolution.",
+        out_of_memory="Out of memory; give a smaller --resolution, or fewer --cells for a mesh.",
     )
 
 

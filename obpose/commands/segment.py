@@ -93,7 +93,7 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
         names = ", ".join(map(str, wide))
         these, they = (f"Label {names} is", "It") if len(wide) == 1 else (f"Labels {names} are", "Each")
         warnings.append(
-            f"{these} {where}wider than the widest object in training, {100 * WIDEST:.0f} cm. {they} may be several "
+            f"{these} {where}wider than any object of the dataset desk, {100 * WIDEST:.0f} cm. {they} may be several "
             "objects, or a part of a floor or wall; see --workspace and --depth-max."
         )
     facts = {

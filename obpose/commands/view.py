@@ -96,9 +96,10 @@ def check(values: Arguments, *, has_viser: bool = importlib.util.find_spec("vise
         with socket.socket(family, socket.SOCK_STREAM) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((values.host, values.port))
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no name of a host"
         raise UsageError(
-            f"Cannot listen at {values.host}, port {values.port}: {error.strerror}; give another --port or --host."
+            f"Cannot listen at {values.host}, port {values.port}: {reason}; give another --port or --host."
         ) from None
 
 

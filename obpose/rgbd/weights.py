@@ -61,9 +61,7 @@ def segment_reduced(checkpoint: str, flags: Frames, frames: PreparedFrames) -> I
     method, trained = method_of(checkpoint)
     labels = torch.from_numpy(segment_frames(prepare(frames.recording, flags, trained), method)).long()
     start = frames.every // 2
-    reduced = labels[:, start :: frames.every, start :: frames.every]
-    height, width = frames.observation.depth.shape[-2:]
-    return reduced[None, :, None, :height, :width]
+    return labels[None, :, None, start :: frames.every, start :: frames.every]
 
 
 def segment_clip(checkpoint: str, clip: Observation) -> Int[Tensor, "1 frame view height width"]:

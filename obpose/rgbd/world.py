@@ -70,6 +70,10 @@ def choose_world(recording: Recording, table: tuple[int, int] | None, center: tu
     named = None if table is None else _point(unproject(recording.depth[0], recording.k, np.eye(4)), table)
     if named is not None:
         plane, reason = find_table(points, near=named), "that of the pixel --table"
+        if table is not None and plane is None:
+            raise NoTable(f"--table {table[0]},{table[1]}: there is no plane around this pixel; name another one.")
+        if given is not None and plane is not None and not _fault(points, plane, given[0], center):
+            return World(given, GIVEN, table=transform(given[0], named)[:2])
     elif given is not None:
         plane, reason = find_table(points, up=given[0, 2, :3]), FOUND
         if plane is None:

@@ -23,6 +23,8 @@ from obpose.scenes.rendering import object_codes
 from obpose.scenes.scene import Scene
 
 FORMATS = (".ply", ".glb")
+_CHUNK = 1 << 15
+"""Number of points of the lattice that are evaluated at once, to bound memory."""
 _EMPTY = -20.0
 """Logit outside of the box."""
 SURFACE, SURFACE_OF_FIELD = 0.5, 0.9
@@ -64,7 +66,8 @@ def object_mesh(
     if surface is None:
         surface = SURFACE if bool(half_extent.any()) else SURFACE_OF_FIELD
     # The level is the inverse of tanh(softplus(logit)) (paper, end of section Decoder).
-    logits, level = model.object_field.density(lattice, codes)[0], math.log(math.expm1(math.atanh(surface)))
+    level = math.log(math.expm1(math.atanh(surface)))
+    logits = torch.cat([model.object_field.density(part, codes)[0] for part in lattice.split(_CHUNK)])
     if floor is not None:
         # A field that crosses the level at the floor, one logit per step of the lattice.
         height = from_box(lattice, center, rotation, settings.pose.box_size)[:, 2] - floor

@@ -74,8 +74,8 @@ def save_scene(folder: Path, scene: Scene, picture: Picture | None = None) -> No
     }
     if not _is_whole(scene.ids, tensors):
         raise UsageError(
-            f"The scene holds NaN, values above {_LARGEST_VALUE:g}, or more than {MOST_OBJECTS} objects; nothing was "
-            "written. Undo the last edit."
+            f"The scene holds NaN, values above {_LARGEST_VALUE:g}, more than {MOST_OBJECTS} objects, or arrays that "
+            "do not fit together; nothing was written. In the viewer, undo the last edit."
         )
     # Paths of checkpoints become absolute; names of shipped weights are kept.
     checkpoint = str(Path(scene.checkpoint).resolve()) if Path(scene.checkpoint).exists() else scene.checkpoint

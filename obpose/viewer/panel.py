@@ -197,7 +197,11 @@ class Panel:
         for widget in (self._drawn_as, self._boxes, self._cameras):
             # Redraws the page.
             widget.on_update(lambda _: self._commands.edit(lambda _session: None))
-        self._depth.on_update(lambda _: self._shown and self.show_picture(*self._shown))
+        self._depth.on_update(lambda _: self._commands.edit(lambda _session: self._show_again()))
+
+    def _show_again(self) -> None:
+        if self._shown:
+            self.show_picture(*self._shown)
 
 
 def compose(image: Image, observed: Observed | None, *, with_depth: bool) -> Picture:

@@ -67,6 +67,8 @@ class Scene3D:
         self._nodes: dict[int, _ObjectNodes] = {}
         self._clouds: Mapping[int, Cloud] = {}
         self._table: viser.PointCloudHandle | None = None
+        self._table_cloud: Cloud | None = None
+        self._dragging = -1  # browser window that started the latest drag
         size = model.config.model.workspace_size
         self._scene.add_grid(
             "/table", width=size, height=size, cell_size=0.1, section_size=0.5, position=(0, 0, -_GRID_DEPTH)
@@ -167,8 +169,12 @@ class Scene3D:
             nodes.points = self._add_points(f"/objects/{name}/points", cloud.points, colours)
 
     def _show_table(self, session: Session) -> None:
-        if self._table is None and 0 in self._clouds:
-            self._table = self._add_points("/background", self._clouds[0].points, self._clouds[0].colours)
+        cloud = self._clouds.get(0)
+        if cloud is not None and cloud is not self._table_cloud:
+            if self._table is not None:
+                self._table.remove()
+            self._table_cloud = cloud
+            self._table = self._add_points("/background", cloud.points, cloud.colours)
         if self._table is not None:
             self._table.visible = session.version.sources is not None
 
@@ -195,7 +201,10 @@ class Scene3D:
             to = torch.tensor(event.target.position, dtype=torch.float32)
             turn = torch.tensor(transforms.SO3(np.asarray(event.target.wxyz)).as_matrix(), dtype=torch.float32)
             if event.phase == "start":
+                self._dragging = event.client_id
                 self._edit(Session.grab)
+            elif event.client_id != self._dragging:
+                return  # another window has started to drag since
             elif event.phase == "update":
                 self._edit(lambda session: session.drag(to, turn))
             else:

@@ -1,7 +1,7 @@
 """ObSuRF: one image of a scene to slots, slots to neural fields, supervised along rays of all views.
 
-As in both published uses, the frames of a clip are independent: each has its own slots. In training, a random view of a
-frame is the input. At evaluation, each view is segmented from its own image.
+As in both published uses, the frames of a clip are independent: each has its own slots. In training, one random view of
+each clip is the input, the same in all its frames. At evaluation, each view is segmented from its own image.
 """
 
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ class Obsurf(Trainable):
         self, observation: Observation, *, step: int, fraction: float, generator: torch.Generator | None = None
     ) -> dict[str, Tensor]:
         """Compute the loss terms and their weighted sum; pixels without depth do not count."""
-        # Encode one view of each frame.
+        # Encode one view of each clip.
         inputs = random_view(observation, generator)
         batch, frames = observation.depth.shape[:2]
         noise = torch.randn(

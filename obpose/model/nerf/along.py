@@ -17,8 +17,6 @@ NEAR_SHARE = 0.98
 
 def surface_points(rays: Rays, jitter: float, generator: torch.Generator | None) -> RayPoints:
     """Draw points uniformly up to `jitter` metres of planar depth behind the observed surface."""
-    if jitter == 0:
-        return _at_depth(rays, rays.depth)
     return _at_depth(rays, rays.depth + jitter * _uniform(rays, generator))
 
 

@@ -118,9 +118,9 @@ def lattice_points(resolution: int, generator: torch.Generator | None, like: Ten
 
 @full_precision
 def observed_free(
-    points: Float[Tensor, "batch frame slot voxel 3"], observation: Observation, margin: float = 0.0
+    points: Float[Tensor, "batch frame slot voxel 3"], observation: Observation
 ) -> Bool[Tensor, "batch frame slot voxel"]:
-    """Whether a camera saw a surface more than `margin` metres behind the point."""
+    """Whether a camera saw a surface behind the point."""
     # Pixels of the points.
     flat = rearrange(points, "b f s v xyz -> b f (s v) xyz")
     rotation, center = observation.world_from_camera[..., :3, :3], observation.world_from_camera[..., :3, 3]
@@ -136,7 +136,7 @@ def observed_free(
     depth = rearrange(observation.depth, "b f v h w -> b f v (h w)").gather(-1, place)
     valid = rearrange(observation.valid, "b f v h w -> b f v (h w)").gather(-1, place)
     # Free: some camera saw a surface behind the point.
-    free = (seen & valid & (pixel[..., 2] < depth - margin)).any(dim=2)
+    free = (seen & valid & (pixel[..., 2] < depth)).any(dim=2)
     return free.view(points.shape[:-1])
 
 

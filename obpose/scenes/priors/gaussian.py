@@ -18,6 +18,7 @@ from obpose.data.clips import select_part
 from obpose.errors import CorruptFile, UsageError
 from obpose.model.layers.latent import LATENT
 from obpose.model.obpose import ObPose
+from obpose.scenes.appearance.light import is_light
 from obpose.scenes.appearance.table_texture import PATCH
 from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import views_as_trained
@@ -25,7 +26,7 @@ from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.codes import CodePrior
 from obpose.scenes.priors.interface import WEIGHTS, FitSettings, Say, ScenePrior, read_prior
 from obpose.scenes.priors.mixture import Mixture, fit_mixture, normal
-from obpose.scenes.priors.tables import MOST, Tables, are_tables, find_tables, no_tables
+from obpose.scenes.priors.tables import MOST, Tables, find_tables, no_tables
 from obpose.storage.tensors import Form, Forms, pack
 from obpose.types import Observation
 
@@ -120,7 +121,7 @@ def load_gaussian(origin: Origin) -> ScenePrior:
     wrong = what.fault() or background.fault()
     if not bool((found["low"] <= found["high"]).all()):
         wrong = "low is above high"
-    if not are_tables(tables.lights, tables.patches):
+    if not all(map(is_light, tables.lights)):
         wrong = "lights are neither unit vectors nor none"
     if wrong:
         raise CorruptFile(f"{path} is damaged ({wrong}); {_AGAIN}")

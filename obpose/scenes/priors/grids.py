@@ -43,7 +43,7 @@ class Grids:
 
     def apart(self) -> "list[Grids]":
         """Split into single objects."""
-        return [self.take(place) for place in torch.arange(len(self.half)).split(1)]
+        return [self.take(torch.tensor([place])) for place in range(len(self.half))]
 
 
 def together(grids: Sequence[Grids], like: Tensor) -> Grids:

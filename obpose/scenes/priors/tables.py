@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from obpose.scenes.appearance.light import Light, is_light, no_light
+from obpose.scenes.appearance.light import Light, no_light
 from obpose.scenes.appearance.table_texture import PATCH, Texture, no_texture, patch_of, texture_like
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import Origin
@@ -52,10 +52,3 @@ def tables_of(scenes: Iterable[Scene]) -> Tables:
         return no_tables(torch.zeros(()))
     lights, patches = zip(*found, strict=True)
     return Tables(torch.stack(lights), torch.stack(patches))
-
-
-def are_tables(lights: Tensor, patches: Tensor) -> bool:
-    """Whether arrays are valid tables, because files may come from untrusted sources."""
-    count = len(patches) if patches.ndim else 0
-    sizes = lights.shape == (count, 4) and patches.shape == (count, PATCH, PATCH, 3)
-    return sizes and lights.dtype == torch.float32 and bool(patches.isfinite().all()) and all(map(is_light, lights))

@@ -51,6 +51,7 @@ def test_it_serves_until_ctrl_c_and_ends_with_one_line(tiny_dataset: Path, tmp_p
         (["DATA", "--host", ""], "--host is empty; expected a value"),
         (["DATA", "--data", "DATA"], "is a dataset itself; leave out --data"),
         (["DATA", "--host", "no.such.host.invalid"], "Cannot listen at no.such.host.invalid"),
+        (["DATA", "--host", "a..b"], ": it is no name of a host; give another --port or --host"),
         (["DATA", "--out", "EMPTY/file"], "is a file; expected a folder"),
         ([MODEL], "say with --data DIR"),
     ],

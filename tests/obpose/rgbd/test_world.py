@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from datagen.geometry import unproject
-from obpose.errors import UsageError
+from obpose.errors import NoTable, UsageError
 from obpose.rgbd.recording import Recording
 from obpose.rgbd.workspace import doubts, find_workspace
 from obpose.rgbd.world import GIVEN, World, choose_world
@@ -114,6 +114,24 @@ def test_the_user_can_name_the_table():
     assert "--table" in world.note
     with pytest.raises(UsageError, match=r"--table 96,0: expected column and row of a pixel of the 96x72 images"):
         choose_world(frame, (SIZE[0], 0), CENTER)
+
+
+def test_a_pixel_without_a_plane_names_no_table():
+    frame, _ = recording([TABLE, FLOOR], (1.0, 0.4, 0.8))
+    depth = frame.depth.copy()
+    depth[:, 20:50, 20:50] = 0
+    depth[:, 35, 35] = 0.3  # a flying pixel
+    with pytest.raises(NoTable, match="--table 35,35: there is no plane around this pixel"):
+        choose_world(replace(frame, depth=depth), (35, 35), CENTER)
+
+
+def test_a_given_world_is_kept_if_the_user_names_its_table():
+    frame, pose = recording([TABLE, FLOOR], (0.7, 0.1, 0.7))
+    column, row = SIZE[0] // 2, SIZE[1] // 2
+    world = choose_world(replace(frame, poses=pose[None]), (column, row), CENTER)
+    assert (world.note, world.poses.tolist()) == (GIVEN, pose[None].tolist())
+    assert world.table is not None
+    np.testing.assert_allclose(world.table, unproject(frame.depth[0], K, pose)[row, column, :2])
 
 
 @pytest.mark.parametrize(

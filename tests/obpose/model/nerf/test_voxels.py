@@ -144,12 +144,11 @@ def test_free_space_is_where_a_camera_saw_farther():
     pixels = torch.tensor([[31.3, 31.6], [5.2, 60.8]])
     depth = observation.depth[0, 0, 0, pixels[:, 1].long(), pixels[:, 0].long()]
 
-    def free(shift: float, margin: float = 0.0) -> list[bool]:
-        return observed_free(seen_points(observation, pixels, depth + shift), observation, margin).flatten().tolist()
+    def free(shift: float) -> list[bool]:
+        return observed_free(seen_points(observation, pixels, depth + shift), observation).flatten().tolist()
 
     assert free(-0.01) == [True, True]
     assert free(0.01) == [False, False]
-    assert free(-0.01, margin=0.02) == [False, False]
     blind_there = replace(observation, valid=torch.zeros_like(observation.valid))
     assert not observed_free(seen_points(observation, pixels, depth - 0.1), blind_there).any()
 

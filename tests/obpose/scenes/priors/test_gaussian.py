@@ -8,14 +8,16 @@ from safetensors.torch import load_file, save_file
 from obpose.errors import CorruptFile, UsageError
 from obpose.scenes.appearance.table_texture import PATCH
 from obpose.scenes.model_ref import Origin, load_origin
-from obpose.scenes.priors import available_priors
 from obpose.scenes.priors.codes import CodePrior
 from obpose.scenes.priors.gaussian import fit_codes, learned_prior, load_gaussian, save_gaussian
 from obpose.scenes.priors.interface import ScenePrior
 from obpose.scenes.priors.mixture import Mixture, normal
-from obpose.storage.pretrained import shipped_names
 from tests.obpose.scenes.small_scenes import some_model, some_tables
 from tests.worlds.observations import table_scene
+
+SHIPPED = [
+    f"obpose-contact--{name}" for name in ("clevr3d--80x60", "moving--64x64", "multishape--80x60", "static--64x64")
+]
 
 
 def test_a_fitted_prior_has_the_moments_of_what_was_inferred():
@@ -111,11 +113,10 @@ def test_a_prior_is_of_the_weights_that_it_was_fitted_to(tmp_path: Path):
         load_gaussian(origin)
 
 
-@pytest.mark.parametrize("name", [name for name in shipped_names() if "--desk--" not in name])
+@pytest.mark.parametrize("name", SHIPPED)
 def test_priors_that_ship_are_of_the_weights_beside_them(name: str):
     origin = load_origin(name)
-    if "gaussian" in available_priors(origin):
-        assert load_gaussian(origin).background.means.isfinite().all()
+    assert load_gaussian(origin).background.means.isfinite().all()
 
 
 def test_the_learned_prior_is_the_first_one_of_training():

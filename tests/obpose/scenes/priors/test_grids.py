@@ -36,6 +36,12 @@ def lopsided() -> tuple[ObPose, Scene]:
     ).with_appearance(detail=detail)
 
 
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_grids_apart_are_single_objects(count: int):
+    apart = Grids(torch.zeros(count, EDGE, EDGE, EDGE, 4), torch.ones(count)).apart()
+    assert [len(each.half) for each in apart] == [1] * count
+
+
 def close(one: Grids, other: Grids, by: float = 1e-3) -> bool:
     sizes = torch.allclose(one.half, other.half, atol=1e-6)
     return sizes and torch.allclose(one.values, other.values, atol=by)
