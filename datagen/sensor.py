@@ -84,7 +84,7 @@ def incidence(depth: Depth, k: Float[np.ndarray, "3 3"]) -> Depth:
     """Angle between each pixel's ray and the surface normal in the depth image, degrees; 0 for pixels without depth."""
     rays = pixel_rays(k, depth.shape[1], depth.shape[0])
     points = rays * depth[..., None]
-    normals = np.cross(_tangent(points, depth, axis=1), _tangent(points, depth, axis=0))
+    normals = np.cross(_tangent(points, axis=1), _tangent(points, axis=0))
     lengths = np.sqrt(np.sum(normals**2, axis=-1) * np.sum(rays**2, axis=-1))
     cosines = np.abs(np.sum(normals * rays, axis=-1)) / np.where(lengths > 0, lengths, 1)
     return np.where((depth > 0) & (lengths > 0), np.degrees(np.arccos(np.clip(cosines, 0, 1))), 0.0)
@@ -95,9 +95,7 @@ def luminance(rgb: UInt8[np.ndarray, "height width 3"]) -> Depth:
     return LINEAR[rgb] @ LUMINANCE
 
 
-def _tangent(
-    points: Float[np.ndarray, "height width 3"], depth: Depth, axis: int
-) -> Float[np.ndarray, "height width 3"]:
+def _tangent(points: Float[np.ndarray, "height width 3"], axis: int) -> Float[np.ndarray, "height width 3"]:
     """Difference to the next or from the previous pixel: to the one nearer in depth, which is on the same surface."""
     forward = np.diff(points, axis=axis)
     first, last = np.take(forward, [0], axis), np.take(forward, [-1], axis)

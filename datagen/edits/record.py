@@ -34,15 +34,15 @@ def edits_record(
     for kind, rng in rngs.items():
         edit = choose_edit(kind, recipe, stage, rng)
         if kind == "remove":
-            record |= _removals(edit, stage, own, renderer)
+            record |= _removals(edit, stage, own, renderer, pixels["visibility/amodal_pixels"].shape[2])
             continue
         images = own if edit.row is None else _images(edit.stage, own, renderer)
         record |= {f"edits/{kind}/transform": edit.transform, **_fields(kind, edit, images, renderer)}
     return record
 
 
-def _removals(edit: Edit, stage: Stage, own: SceneRecord, renderer: Renderer) -> SceneRecord:
-    """Remove every object once, for its effects, and keep the images of one removal."""
+def _removals(edit: Edit, stage: Stage, own: SceneRecord, renderer: Renderer, rows: int) -> SceneRecord:
+    """Remove every object once, for its effects, and keep the images of one removal; `rows` is the object axis."""
     images, effects = own, []
     shown = touched(stage, own, renderer)
     for row, name in enumerate(stage.ids):
@@ -50,7 +50,7 @@ def _removals(edit: Edit, stage: Stage, own: SceneRecord, renderer: Renderer) ->
         effects.append(changed(own["rgb"], removed["rgb"]) & ~shown[name])
         images = removed if row == edit.row else images
     return {
-        "edits/remove/effects": packed(effects, own["segmentation"].shape),
+        "edits/remove/effects": packed(effects, own["segmentation"].shape, rows),
         **_fields("remove", edit, images, renderer),
     }
 
@@ -97,7 +97,11 @@ def changed(
     return np.sum(np.abs(rgb.astype(np.int16) - other), axis=-1) >= LEAST_EFFECT
 
 
-def packed(masks: Sequence[Mask], shape: tuple[int, ...]) -> UInt8[np.ndarray, "frame view height width byte"]:
-    """Pack one mask per object into bits, eight per byte; one byte of zeros if there are no objects."""
-    bits = np.stack(masks, axis=-1) if masks else np.zeros((*shape, 1), bool)
+def packed(
+    masks: Sequence[Mask], shape: tuple[int, ...], rows: int
+) -> UInt8[np.ndarray, "frame view height width byte"]:
+    """Pack one mask per object into bits, eight per byte, with zeros for the other rows of the object axis."""
+    bits = np.zeros((*shape, rows), bool)
+    for row, mask in enumerate(masks):
+        bits[..., row] = mask
     return np.packbits(bits, axis=-1, bitorder="little")

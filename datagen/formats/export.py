@@ -14,7 +14,7 @@ from datagen.inspect.croissant import croissant
 from datagen.inspect.dataset_card import description_of, license_of
 from datagen.meshes.library import Library, open_library
 from datagen.schema import GENERATOR, SPLITS
-from datagen.storage.atomic import check_new_folder, new_folder, write_atomically
+from datagen.storage.atomic import check_new_folder, new_folder, resolve_output, write_atomically
 from datagen.storage.reader import Dataset
 from datagen.storage.safe_io import read_json
 from datagen.storage.spec import CARD_FILE, CROISSANT_FILE
@@ -92,9 +92,9 @@ def _check_folder(source: Path, folder: Path, *, overwrite: bool) -> None:
     """Check that the new folder is free, or is an export that may be replaced.
 
     Raises:
-        UsageError: it is neither, or one of the two folders lies in the other.
+        UsageError: it is neither, is a link that leads to itself, or one of the two folders lies in the other.
     """
-    new, old = folder.resolve(), source.resolve()
+    new, old = resolve_output(folder), source.resolve()
     if new.is_relative_to(old) or old.is_relative_to(new):
         raise UsageError(f"{folder} and the folder of the dataset, {source}, lie in each other; give another --out.")
     if not overwrite or not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):

@@ -18,7 +18,7 @@ class ReadOptions:
     """Choices about how files are read."""
 
     depth_scale: float | None = None
-    """Metres per unit of integer depth, such as 0.001; for obsurf, of the scene's unit. Default the source's."""
+    """Metres per unit of depth, such as 0.001; for obsurf, of the scene's unit. Default the source's."""
     depth_type: DepthType | None = None
     """Depth along the optical axis or along the ray; default the source's."""
     most_objects: int | None = None

@@ -82,7 +82,7 @@ def push(folder: Path, upload: Upload, *, private: bool, hub: Callable[[], Any] 
         client.upload_folder(
             **settings,
             folder_path=folder,
-            ignore_patterns=[".*", "*.partial-*"],
+            ignore_patterns=[".*", "*/.*"],  # hidden, as temporary files are, at any depth
             commit_message="Upload with obpose-datagen push",
         )
     except Exception as error:  # the client passes on errors of several HTTP libraries

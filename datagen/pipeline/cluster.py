@@ -18,7 +18,7 @@ RETRIES = 2
 """Number of times that an item is tried again after an exception that the user cannot fix, or `Busy`; Dask counts lost
 workers apart."""
 _POLL_SECONDS = 0.1
-"""Time limit for a connection to the scheduler."""
+"""Interval at which `Cluster.call` looks for a result or `stop`, and time limit of `Kept.read`."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -16,6 +16,7 @@ from datagen.meshes.library import Library, open_library
 from datagen.pipeline.make_scene import SceneMaker, Source, check_memory, make_scene, renderer_identity
 from datagen.pipeline.shards import make_here, make_on_cluster, shard_tasks, write_shard
 from datagen.schema import DATA_VERSION, SPLITS, EditKind, Signal, array_hash
+from datagen.storage.atomic import resolve_output
 from datagen.storage.cameras_file import CamerasFile
 from datagen.storage.dataset_folder import filling, settle, write_file
 from datagen.storage.manifest import delete_records, is_finished, make_manifest, recorded_facts
@@ -120,9 +121,12 @@ def dataset_spec(
     """The spec of the dataset that `generate` makes of these arguments in a new folder.
 
     Raises:
-        UsageError: edits, signals or lz4 are requested without images, or the recipe needs meshes and there are none.
+        UsageError: no scenes are requested; edits, signals or lz4 are requested without images; or the recipe needs
+            meshes and there are none.
     """
     # Combinations that make no dataset.
+    if not any(splits.values()):
+        raise UsageError("A dataset needs scenes, and no scenes are requested; request at least one in a split.")
     if not meshes and (named := [name for name in recipe.objects.categories if name.startswith(MESH_PREFIX)]):
         raise UsageError(
             f"Recipe {recipe.name!r} needs meshes such as {named[0].removeprefix(MESH_PREFIX)}; give the folder that "
@@ -187,13 +191,13 @@ def render(
 
     Raises:
         UsageError: the source is no dataset, of another data version or the folder itself, or the request contradicts
-            what is in the folder.
+            what is in the folder; or the folder is a link that leads to itself.
         DatagenError: the source is incomplete, or the run could not be completed.
     """
     # Refuse datasets that cannot be rendered.
-    if folder.resolve() == source.resolve():
-        raise UsageError(f"{folder} is the dataset whose scenes are to be rendered; give another folder with --out.")
     dataset = Dataset(source)
+    if resolve_output(folder) == source.resolve():
+        raise UsageError(f"{folder} is the dataset whose scenes are to be rendered; give another folder with --out.")
     if dataset.spec["data_version"] != DATA_VERSION:
         raise UsageError(
             f"{source} was made by data version {dataset.spec['data_version']}, this program makes version "

@@ -113,6 +113,7 @@ def make_on_cluster(
     with connected(address) as cluster, shared_mark(folder) as mark:
         shared = {"maker": maker.with_absolute_paths(), "mark": mark, "arithmetic": arithmetic_of(maker.spec)}
         for task, new in cluster.map(make_shard, tasks, **shared):
+            mark.touch()  # other hosts delete temporary files that are old
             for _ in task.todo:
                 advance()
             yield task, new

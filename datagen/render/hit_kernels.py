@@ -61,9 +61,7 @@ def _edges(homogeneous, i, j, k):
 
 
 @kernel
-def hit(
-    points, owners, homogeneous, screen, faces, face_owners, starts, items, tiles_x, tiles_y, face, weights, inverse
-):
+def hit(points, owners, homogeneous, faces, face_owners, starts, items, tiles_x, tiles_y, face, weights, inverse):
     """Fill `face`, `weights` and `inverse`; see `hits.Hits`."""
     for p in range(len(points)):
         sx, sy = points[p, 0], points[p, 1]

@@ -94,7 +94,6 @@ class Projection:
             np.ascontiguousarray(SUB * points, np.float64),
             np.ascontiguousarray(owners, np.int32),
             self._homogeneous,
-            self._screen,
             self._meshes.faces,
             self._meshes.owners,
             self._starts,

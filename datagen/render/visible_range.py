@@ -20,7 +20,7 @@ from datagen.schema import MAX_DEPTH
 from datagen.shapes.shape import Shape
 
 _MARGIN = 1.001
-"""Share of `NEAREST` that is kept free on top of it, for renderers that work in float32."""
+"""Factor on `NEAREST`; the excess is kept free for renderers that work in float32."""
 
 _NEAR = _MARGIN * NEAREST
 

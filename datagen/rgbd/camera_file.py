@@ -52,21 +52,28 @@ class Camera:
             metres = metres * np.float32(self.float_scale)
         return planar_depth(metres, self.k(number)) if self.euclidean else metres
 
-    def pose(self, number: int) -> Pose | None:
-        """Find world_from_camera of an image; None if it is not in the camera's file.
+    def pose(self, number: int, images: int) -> Pose | None:
+        """Find world_from_camera of one of `images` images; None if it is not in the camera's file.
 
         Raises:
-            UsageError, CorruptFile: it is no rigid pose, or missing for this image.
+            UsageError, CorruptFile: it is no rigid pose, or missing for this image; or there are more than images.
         """
         if self.poses is None:
             return None
         try:
-            listed = self.poses if np.ndim(self.poses) == 2 else self.poses[number]
+            single = np.ndim(self.poses) == 2
+            listed = self.poses if single else self.poses[number]
+            surplus = not single and len(self.poses) > images
         except (ValueError, TypeError, LookupError):
             raise CorruptFile(
                 f"{self.file}: world_from_camera holds no pose for image {number}; expected one 4x4 matrix, or one for "
                 "each image."
             ) from None
+        if surplus:
+            raise UsageError(
+                f"{self.file}: world_from_camera holds {len(self.poses)} poses for {images} images; expected one 4x4 "
+                "matrix, or one for each image."
+            )
         pose = pose_matrix(listed)
         check_pose(pose, f"{self.file}: world_from_camera")
         return pose

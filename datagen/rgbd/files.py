@@ -19,6 +19,7 @@ PLAUSIBLE_FOCAL = (0.1, 50.0)
 _USUAL_DEPTH = (0.2, 4.0)
 _USUAL_UNITS = (0.001, 0.0001, 0.0002, 0.00025, 1.0)
 """Units of depth images, metres, from the most common one on."""
+_MOST_ID = 2**62 - 1
 _MASK_MODES = ("L", "P", "I", "I;16", "I;16B", "1")
 HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 """From OpenCV's camera matrices, where the first pixel's centre is at (0, 0), to ours, where it is at (0.5, 0.5)."""
@@ -55,8 +56,10 @@ def read_ids(path: Path) -> Int64[np.ndarray, "height width"]:
 
 
 def _checked_ids(values: np.ndarray, path: Path) -> Int64[np.ndarray, "height width"]:
-    if values.min() < 0 or values.max() >= 2**62:
-        raise UsageError(f"{path} has the id {values.min()}; expected 0 for the background and positive ids.")
+    low, high = int(values.min()), int(values.max())
+    if low < 0 or high > _MOST_ID:
+        wrong = low if low < 0 else high
+        raise UsageError(f"{path} has the id {wrong}; expected 0 for the background and ids up to {_MOST_ID:,}.")
     return values.astype(np.int64)
 
 

@@ -132,7 +132,7 @@ def check_pairs(colours: Sequence[Path], depths: Sequence[Path]) -> None:
     Raises:
         UsageError: most numbers occur in both folders, but a pair has different ones, for example after a gap.
     """
-    numbers = [[_key(path, _splitter(paths))[1::2] for path in paths] for paths in (colours, depths)]
+    numbers = [_numbers(colours), _numbers(depths)]
     if 2 * len({*numbers[0]} & {*numbers[1]}) < len(colours):
         return
     for colour, depth, *pair in zip(colours, depths, *numbers, strict=True):
@@ -141,6 +141,12 @@ def check_pairs(colours: Sequence[Path], depths: Sequence[Path]) -> None:
                 f"{colour} and {depth} would be one frame, but their numbers differ; expected a depth image for each "
                 "colour image. Remove files without a partner, or name all files in order instead of the folders."
             )
+
+
+def _numbers(paths: Sequence[Path]) -> list[_Key]:
+    """Numbers in the name of each file."""
+    split = _splitter(paths)
+    return [_key(path, split)[1::2] for path in paths]
 
 
 def _splitter(paths: Sequence[Path]) -> re.Pattern[str]:

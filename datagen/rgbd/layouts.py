@@ -47,12 +47,23 @@ class FrameFiles:
     """Metres per unit of integer depth, if the camera's file does not say."""
     left_out: int = 0
     """Number of colour images without depth or pose at their time."""
+    numbers: Sequence[int] = ()
+    """Index of each frame among all colour images, if some were left out."""
 
-    def pose(self, number: int, camera: Camera) -> Pose | None:
+    @property
+    def images(self) -> int:
+        """Number of all colour images."""
+        return len(self.colour) + self.left_out
+
+    def number(self, frame: int) -> int:
+        """Index of a frame among all colour images, for lists in the camera's file."""
+        return self.numbers[frame] if self.numbers else frame
+
+    def pose(self, frame: int, camera: Camera) -> Pose | None:
         """Find world_from_camera of a frame, here or in the camera's file; None if unknown."""
         if not self.poses:
-            return camera.pose(number)
-        found = self.poses[number if len(self.poses) > 1 else 0]
+            return camera.pose(self.number(frame), self.images)
+        found = self.poses[frame if len(self.poses) > 1 else 0]
         return read_pose(found, "") if isinstance(found, Path) else found
 
 
@@ -87,11 +98,13 @@ def paired(place: Path, colour: list[Path], depth: list[Path], masks: list[Path]
         raise UsageError(f"{place} has colour but no depth; expected depth/*.png or depth.png.")
     partners = pair_frames(colour, depth, "depth images", place)
     labels = pair_masks(colour, masks, place) if masks else [None] * len(colour)
-    kept = [row for row in zip(colour, partners, labels, strict=True) if row[1] and (row[2] or not masks)]
+    rows = list(zip(colour, partners, labels, strict=True))
+    kept = [number for number, (_, depth, mask) in enumerate(rows) if depth and (mask or not masks)]
     if not kept:
         raise UsageError(f"{place}: no colour image has a depth image of about the same time.")
-    images, depths, labelled = ([path for path in column if path] for column in zip(*kept, strict=True))
-    return FrameFiles(place, images, depths, labelled, left_out=len(colour) - len(kept))
+    columns = zip(*(rows[number] for number in kept), strict=True)
+    images, depths, labelled = ([path for path in column if path] for column in columns)
+    return FrameFiles(place, images, depths, labelled, left_out=len(colour) - len(kept), numbers=kept)
 
 
 def _folders(place: Path) -> FrameFiles | None:
@@ -153,7 +166,7 @@ def _mixed(place: Path) -> FrameFiles | None:
     if not colour or not depth:
         return None
     if len(colour.keys() & depth.keys()) * 2 < len(colour):  # names with times of two sensors
-        found = paired(place, list(colour.values()), list(depth.values()), [])
+        found = paired(place, list(colour.values()), list(depth.values()), list(masks.values()))
     else:
         for name, path in colour.items():
             if name not in depth or (masks and name not in masks):
@@ -173,20 +186,21 @@ def _listed(place: Path) -> FrameFiles:
     known = _rows(path, 8) if path.exists() else []
     placed = nearest_times(times, [time for time, *_ in known]) if known else [0] * len(times)
     rows = [
-        (image[1], depth[partner][1], pose)
-        for image, partner, pose in zip(colour, partners, placed, strict=True)
+        (number, image[1], depth[partner][1], pose)
+        for number, (image, partner, pose) in enumerate(zip(colour, partners, placed, strict=True))
         if partner is not None and pose is not None
     ]
     if not rows:
         raise UsageError(f"{place}: no image of rgb.txt has a depth image of about the same time in depth.txt.")
     return FrameFiles(
         place,
-        colour=[place / image for image, _, _ in rows],
-        depth=[place / partner for _, partner, _ in rows],
+        colour=[place / image for _, image, _, _ in rows],
+        depth=[place / partner for _, _, partner, _ in rows],
         masks=[],
-        poses=[_trajectory_pose(known[pose], path) for _, _, pose in rows] if known else [],
+        poses=[_trajectory_pose(known[pose], path) for *_, pose in rows] if known else [],
         depth_scale=TUM_SCALE,
         left_out=len(colour) - len(rows),
+        numbers=[number for number, *_ in rows],
     )
 
 

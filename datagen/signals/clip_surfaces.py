@@ -130,12 +130,7 @@ class ClipSurfaces:
         return np.all((pixels >= 0) & (pixels < [width, height]), axis=-1)
 
     def hidden(
-        self,
-        world: Float[np.ndarray, "point 3"],
-        pixels: Float[np.ndarray, "point 2"],
-        depth: Float[np.ndarray, "point"],
-        frame: int,
-        view: int,
+        self, pixels: Float[np.ndarray, "point 2"], depth: Float[np.ndarray, "point"], frame: int, view: int
     ) -> Bool[np.ndarray, "point"]:
         """Whether points that project into the image lie behind another surface; depth is inf for the backdrop."""
         hits = self.projection(frame, view).hit(pixels, np.full(len(pixels), ANY))

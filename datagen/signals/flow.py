@@ -30,7 +30,7 @@ def _flow(clip: ClipSurfaces, frame: int, view: int, other: int) -> tuple[np.nda
     pixels, depth = clip.project(points, world, other, view)
     state = np.full(len(pixels), OUTSIDE, np.uint8)
     inside = clip.inside(pixels)
-    hidden = clip.hidden(world[inside], pixels[inside], depth[inside], other, view)
+    hidden = clip.hidden(pixels[inside], depth[inside], other, view)
     state[inside] = np.where(hidden, HIDDEN, SHOWN)
     flow = np.nan_to_num(np.clip(pixels - clip.centers, -MOST_FLOW, MOST_FLOW))
     state[depth == 0] = OUTSIDE

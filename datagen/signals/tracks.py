@@ -7,7 +7,7 @@ from datagen.schema import SceneRecord
 from datagen.signals.clip_surfaces import NOTHING, ClipSurfaces, Points
 
 TRACKS = 256
-"""Number of points tracked in each scene; none if no image shows a surface."""
+"""Number of points tracked in each scene. If no image shows a surface, they are zeros and occluded everywhere."""
 
 TABLE_SHARE = 0.25
 """Share of the points that lie on the table where there are objects; the rest is divided evenly among the objects."""
@@ -18,6 +18,8 @@ def track_fields(clip: ClipSurfaces, rng: np.random.Generator) -> SceneRecord:
     frames, views = clip.shape[:2]
     # Points on the surfaces that the chosen pixels show.
     images = _choose(clip, rng)
+    if not len(images):
+        return _no_tracks(frames, views)
     count = len(images)
     points, pixels = _points(clip, images, images[:, 2:] + rng.random((count, 2)))
     position_2d = np.zeros((views, count, frames, 2), np.float32)
@@ -30,7 +32,7 @@ def track_fields(clip: ClipSurfaces, rng: np.random.Generator) -> SceneRecord:
         for view in range(views):
             places, depth = clip.project(points, world, frame, view)
             inside = (depth > 0) & clip.inside(np.nan_to_num(places, nan=-1.0))
-            hidden = clip.hidden(world[inside], places[inside], depth[inside], frame, view)
+            hidden = clip.hidden(places[inside], depth[inside], frame, view)
             occluded[view, inside, frame] = hidden
             position_2d[view, :, frame] = np.nan_to_num(places)
     return {
@@ -40,6 +42,18 @@ def track_fields(clip: ClipSurfaces, rng: np.random.Generator) -> SceneRecord:
         "tracks/position_2d": position_2d,
         "tracks/occluded": occluded,
         "tracks/position_3d": position_3d,
+    }
+
+
+def _no_tracks(frames: int, views: int) -> SceneRecord:
+    """Fields of a clip that shows no surface, of the shapes that all scenes have."""
+    return {
+        "tracks/object": np.zeros(TRACKS, np.uint8),
+        "tracks/query": np.zeros((TRACKS, 3), np.float32),
+        "tracks/query_view": np.zeros(TRACKS, np.uint16),
+        "tracks/position_2d": np.zeros((views, TRACKS, frames, 2), np.float32),
+        "tracks/occluded": np.ones((views, TRACKS, frames), np.uint8),
+        "tracks/position_3d": np.zeros((TRACKS, frames, 3), np.float32),
     }
 
 

@@ -71,13 +71,14 @@ def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
     With `replace`, a present folder is deleted once the block has succeeded; callers check that it may be.
 
     Raises:
-        UsageError: the folder already exists and is not empty, or was created meanwhile; nothing was changed.
+        UsageError: the folder already exists and is not empty, was created meanwhile, or is a link that leads to
+            itself; nothing was changed.
         DatagenError: it cannot be written.
     """
     check = check_no_dataset if replace else check_new_folder
     check(folder)
     if replace:
-        _finish_exchange(folder.resolve())
+        _finish_exchange(resolve_output(folder))
     with _temporary_folder(folder, folder.resolve()) as temporary:
         yield temporary
         check(folder)
@@ -164,18 +165,26 @@ def _temporary_folder(named: Path, path: Path) -> Iterator[Path]:
             shutil.rmtree(temporary, ignore_errors=True)
 
 
+def resolve_output(path: Path) -> Path:
+    """Resolve the links of a path for results.
+
+    Raises:
+        UsageError: it is a link that leads to itself.
+    """
+    # A circular link raises either error or stays a link, depending on the Python version.
+    with suppress(OSError, RuntimeError):
+        if not (resolved := path.resolve()).is_symlink():
+            return resolved
+    raise UsageError(f"{path} is a link that leads to itself; give another --out.")
+
+
 def check_new_folder(folder: Path) -> None:
     """Check that a folder does not exist or is empty.
 
     Raises:
         UsageError: it is not empty, is the current folder, holds a dataset, or is not a folder.
     """
-    try:
-        resolved = folder.resolve()
-    except (OSError, RuntimeError):
-        # Circular links raise either error, depending on the Python version.
-        raise UsageError(f"{folder} is a link that leads to itself; give another --out.") from None
-    if resolved == Path.cwd():
+    if resolve_output(folder) == Path.cwd():
         raise UsageError(f"{folder} is the current folder; give a new one with --out, nothing was changed.")
     check_no_dataset(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

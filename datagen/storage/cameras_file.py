@@ -213,7 +213,7 @@ def _array(name: str, value: Any, shape: tuple[int, ...]) -> Float[np.ndarray, "
     """Finite numbers of a certain shape."""
     try:
         array = np.asarray(value, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.full((), np.nan)
     expected = " x ".join(map(str, shape)) + " numbers" if shape else "a number"
     if isinstance(value, str | bool) or array.shape != shape or not np.all(np.isfinite(array)):

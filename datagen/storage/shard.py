@@ -174,6 +174,9 @@ def shard_image(scenes: Sequence[PackedScene], attributes: Mapping[str, Any]) ->
     """Bytes of a shard file of consecutive scenes with equal fields, described by attributes of the file's root group.
 
     Equal input gives equal bytes.
+
+    Raises:
+        DatagenError: scenes have arrays of different shapes.
     """
     with h5py.File("shard.h5", "w", driver="core", backing_store=False, libver=("v110", "v110")) as file:
         constant = {"format_version": FORMAT_VERSION, "generator": GENERATOR, "depth_scale": DEPTH_SCALE}
@@ -181,9 +184,13 @@ def shard_image(scenes: Sequence[PackedScene], attributes: Mapping[str, Any]) ->
             file.attrs[key] = value
         for name in scenes[0].fields:
             if is_pixel_field(name):
-                dataset = _write_frames(file, name, [scene.frames[name] for scene in scenes])
+                frames = [scene.frames[name] for scene in scenes]
+                _check_shapes(name, frames)
+                dataset = _write_frames(file, name, frames)
             else:
-                dataset = _write_array(file, name, np.stack([scene.arrays[name] for scene in scenes]))
+                arrays = [scene.arrays[name] for scene in scenes]
+                _check_shapes(name, arrays)
+                dataset = _write_array(file, name, np.stack(arrays))
             field = FIELDS[name]
             facts = {"unit": field.unit, "frame": field.frame, "description": field.description}
             for key, value in {**facts, "axes": " ".join(("scene", *field.axes))}.items():
@@ -193,6 +200,15 @@ def shard_image(scenes: Sequence[PackedScene], attributes: Mapping[str, Any]) ->
         hashes.attrs["description"] = "SHA-256 over the scene's arrays that `fields` names, see schema.scene_hash"
         file.flush()
         return file.id.get_file_image()
+
+
+def _check_shapes(name: str, arrays: Sequence[np.ndarray | Frames]) -> None:
+    shape = arrays[0].shape
+    if others := [array.shape for array in arrays if array.shape != shape]:
+        raise DatagenError(
+            f"{name} has shapes {shape} and {others[0]} in scenes of one shard; expected equal ones. If an older "
+            "program made some of them, delete the shard and run the command again."
+        )
 
 
 def _write_array(

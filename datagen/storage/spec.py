@@ -25,6 +25,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -292,8 +293,10 @@ def groups_of(spec: Spec) -> tuple[str, ...]:
     return "simulation", *moving, "pixels", *sensor, *edits_of(spec), *signals_of(spec)
 
 
-_RECIPES: dict[str, Recipe] = {}
-"""The last recipe, by its JSON text: every scene asks for its own."""
+@lru_cache(maxsize=2)
+def _parsed_recipe(text: str) -> Recipe:
+    """Recipe of a JSON text; every scene requests that of its dataset."""
+    return recipe_from_dict(json.loads(text))
 
 
 def recipe_of(spec: Spec) -> Recipe:
@@ -305,11 +308,7 @@ def recipe_of(spec: Spec) -> Recipe:
     """
     check_generated(spec)
     try:
-        text = json.dumps(spec["recipe"])
-        if text not in _RECIPES:
-            _RECIPES.clear()
-            _RECIPES[text] = recipe_from_dict(spec["recipe"])
-        return _RECIPES[text]
+        return _parsed_recipe(json.dumps(spec["recipe"]))
     except UsageError as error:
         raise UsageError(f"{SPEC_FILE} holds a recipe that this version does not take: {error}") from None
     except ValueError as error:

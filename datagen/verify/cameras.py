@@ -66,10 +66,12 @@ def _check_file(
 def _wrong_orbit(poses: Float[np.ndarray, "frame 4 4"], recipe: Recipe, angle: float) -> str | None:
     target = _turned(np.array(recipe.rig.target), angle)
     away = poses[:, :3, 3] - target
-    turns = np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
-    expected = turns[0] + np.linspace(0, np.radians(recipe.rig.orbit), len(poses))
+    around = np.arctan2(away[:, 1], away[:, 0])
+    expected = around[0] + np.linspace(0, np.radians(recipe.rig.orbit), len(poses))
+    # Steps may be longer than half a turn, so that angles are compared modulo a full one.
+    turned = np.angle(np.exp(1j * (around - expected)))
     radius = np.hypot(away[:, 0], away[:, 1])
-    error = max(np.max(np.abs(turns - expected) * radius), np.ptp(radius), np.ptp(away[:, 2]))
+    error = max(np.max(np.abs(turned) * radius), np.ptp(radius), np.ptp(away[:, 2]))
     if error > 2 * ROUNDING:
         return f"the orbit is up to {1e3 * error:.3f} mm off"
     return _wrong_aim(poses, target)

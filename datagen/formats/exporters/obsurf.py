@@ -95,7 +95,14 @@ def _check_camera(scene: ExportScene, frame: int, view: int) -> None:
         raise UsageError(f"ObSuRF's loader reads images of 320x240 pixels, not {width}x{height}; {remedy}")
     pose, k = scene.world_from_camera[frame, view], scene.k[frame, view]
     expected = np.array([[FOCAL, 0, 160], [0, FOCAL, 120], [0, 0, 1]])
-    turn = expected @ look_at(pose[:3, 3], np.zeros(3))[:3, :3].T @ pose[:3, :3] @ np.linalg.inv(k)
+    try:
+        aimed = look_at(pose[:3, 3], np.zeros(3))
+    except ValueError:
+        raise UsageError(
+            f"{scene.place}, view {view}: the camera is straight above the origin or at it, where ObSuRF's camera has "
+            f"no defined roll; {remedy}"
+        ) from None
+    turn = expected @ aimed[:3, :3].T @ pose[:3, :3] @ np.linalg.inv(k)
     corners = np.array([[0, 0, 1], [320, 0, 1], [0, 240, 1], [320, 240, 1]], np.float64)
     moved = corners @ turn.T
     shift = np.max(np.abs(moved[:, :2] / moved[:, 2:] - corners[:, :2]))

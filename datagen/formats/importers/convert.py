@@ -243,6 +243,6 @@ def _padded(name: str, values: np.ndarray, rows: int) -> np.ndarray:
 
 
 def _ascii(name: str) -> bytes:
-    """Printable ASCII of a name, at least one letter wide so that texts have a type."""
+    """First 60 characters of a name, with `?` for what is not printable ASCII."""
     kept = "".join(letter if letter.isascii() and letter.isprintable() else "?" for letter in name[:_LONGEST_NAME])
     return kept.encode("ascii")

@@ -76,10 +76,14 @@ def _shared_camera(source: Path, options: ReadOptions) -> _Camera | None:
 
 def _camera(values: Any, path: Path) -> _Camera:
     """Convert camera_intrinsics and camera_extrinsics to our conventions."""
-    wanted = {"camera_intrinsics": (3, 3), "camera_extrinsics": (4, 4)}
-    if type(values) is not dict or any(np.shape(values.get(name, ())) != shape for name, shape in wanted.items()):
-        raise CorruptFile(f"{path} holds no camera; expected camera_intrinsics (3, 3) and camera_extrinsics (4, 4).")
-    k, pose = (np.asarray(values[name], np.float64) for name in wanted)
+    try:
+        k, pose = (np.asarray(values[name], np.float64) for name in ("camera_intrinsics", "camera_extrinsics"))
+        if k.shape != (3, 3) or pose.shape != (4, 4):
+            raise ValueError
+    except (ValueError, TypeError, LookupError, OverflowError):
+        raise CorruptFile(
+            f"{path} holds no camera; expected camera_intrinsics (3, 3) and camera_extrinsics (4, 4)."
+        ) from None
     signs = np.sign([k[0, 0], k[1, 1]])
     if signs[0] != signs[1] or not signs.all():
         raise UsageError(

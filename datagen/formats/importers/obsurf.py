@@ -21,6 +21,7 @@ from datagen.errors import CorruptFile, UsageError
 from datagen.formats.import_request import ReadOptions
 from datagen.formats.importers.interface import Facts, Found, Images, Recording
 from datagen.geometry import look_at
+from datagen.rgbd.camera_pose import check_pose
 from datagen.rgbd.files import camera_matrix, check_unit, common_size, missing_file, planar_depth, read_ids, read_opaque
 from datagen.rgbd.images import read_depth
 from datagen.storage.safe_io import npz_headers, read_npz
@@ -95,10 +96,11 @@ def _read_metadata(source: Path, options: ReadOptions) -> tuple[_Scenes, bool]:
         raise UsageError(f"{path} is missing; expected the folder of CLEVR-3D or MultiShapeNet.") from None
     shapes = {name: arrays[name].shape for name in arrays}
     fits = len(shapes) == 2 and shapes["camera_pos"][2:] == (3,) and shapes["shape"][:1] == shapes["camera_pos"][:1]
-    if not fits or len(shapes["shape"]) != 2 or shapes["camera_pos"][1] < 1 or arrays["shape"].dtype.kind not in "iu":
+    numeric = fits and arrays["shape"].dtype.kind in "iu" and arrays["camera_pos"].dtype.kind in "iuf"
+    if not numeric or len(shapes["shape"]) != 2 or shapes["camera_pos"][1] < 1:
         raise CorruptFile(
             f"{path} has arrays of shapes {shapes}; expected shape (scene, object), integers, and camera_pos (scene, "
-            "view, 3)."
+            "view, 3), numbers."
         )
     planar = multishapenet if options.depth_type is None else options.depth_type == "planar"
     objects = np.count_nonzero(arrays["shape"] > 0, axis=1)
@@ -145,7 +147,10 @@ class _Reader:
         return depth if self._scenes.planar else planar_depth(depth, k)
 
     def _pose(self, view: int) -> Float64[np.ndarray, "4 4"]:
+        name = f"{self._scenes.folder / METADATA}: camera_pos of scene {self._scene}"
         try:
-            return look_at(self._scenes.camera_pos[self._scene, view] * self._scenes.unit, np.zeros(3))
+            pose = look_at(self._scenes.camera_pos[self._scene, view] * self._scenes.unit, np.zeros(3))
         except ValueError as error:
-            raise CorruptFile(f"{self._scenes.folder / METADATA}: camera_pos of scene {self._scene}: {error}") from None
+            raise CorruptFile(f"{name}: {error}") from None
+        check_pose(pose, f"{name}, view {view}")
+        return pose

@@ -21,6 +21,7 @@ from datagen.formats.import_request import ReadOptions
 from datagen.formats.importers.interface import Facts, Found, Images, Recording
 from datagen.rgbd.camera_file import CAMERA, Camera, read_camera
 from datagen.rgbd.files import check_intrinsics, check_unit, common_size, read_ids
+from datagen.rgbd.frame_files import sort_frames
 from datagen.rgbd.images import holds_floats, read_colour
 from datagen.rgbd.layouts import FrameFiles, find_frames
 from datagen.schema import SPLITS
@@ -74,7 +75,7 @@ def _views(place: Path) -> list[FrameFiles]:
     """Find the views of a recording; none if it is no recording."""
     if place.name.startswith("."):
         return []
-    if views := sorted(path for path in place.glob("view*") if path.is_dir()):
+    if views := sort_frames([path for path in place.glob("view*") if path.is_dir()]):
         found = [find_frames(view) for view in views]
         if None in found:
             raise UsageError(f"{views[found.index(None)]} holds no colour images; expected rgb/*.png or rgb.png.")
@@ -115,10 +116,10 @@ class _Reader:
                 )
             if bool(view.masks) != bool(first.masks):
                 raise UsageError(f"{view.place} and {first.place} differ in having masks; give masks for both.")
-            if len(camera.lenses) not in (1, len(view.colour)):
+            if len(camera.lenses) not in (1, view.images):
                 raise UsageError(
-                    f"{view.camera}: K holds {len(camera.lenses)} matrices for {len(view.colour)} images; expected one "
-                    "for all images, or one for each."
+                    f"{view.camera}: K holds {len(camera.lenses)} matrices for {view.images} images; expected one for "
+                    "all images, or one for each."
                 )
             for k in camera.lenses:
                 check_intrinsics(k, sizes[view.place], str(view.camera))
@@ -130,18 +131,16 @@ class _Reader:
 
     def read(self, images: Sequence[int]) -> Images:
         views = list(zip(self._views, self.cameras, strict=True))
-        poses = [[view.pose(number, camera) for view, camera in views] for number in images]
+        poses = [[view.pose(frame, camera) for view, camera in views] for frame in images]
         known = [pose is not None for row in poses for pose in row]
         if any(known) and not all(known):
             raise UsageError(f"{self._views[0].place}: some views have poses and some have none; give all or none.")
         return Images(
-            rgb=np.stack([[read_colour(view.colour[number]) for view, _ in views] for number in images]),
-            depth=np.stack(
-                [[_depth(view.depth[number], camera, number) for view, camera in views] for number in images]
-            ),
-            k=np.stack([[camera.k(number) for _, camera in views] for number in images]),
+            rgb=np.stack([[read_colour(view.colour[frame]) for view, _ in views] for frame in images]),
+            depth=np.stack([[_depth(view, camera, frame) for view, camera in views] for frame in images]),
+            k=np.stack([[camera.k(view.number(frame)) for view, camera in views] for frame in images]),
             world_from_camera=np.array(poses, np.float64) if all(known) else None,
-            ids=np.stack([[read_ids(view.masks[number]) for view, _ in views] for number in images])
+            ids=np.stack([[read_ids(view.masks[frame]) for view, _ in views] for frame in images])
             if self._views[0].masks
             else None,
             categories=_categories(self._views[0].place) if self._views[0].masks else None,
@@ -159,7 +158,8 @@ def _categories(folder: Path) -> dict[int, str] | None:
     return {each["id"]: str(each.get("category", "")) for each in values}
 
 
-def _depth(path: Path, camera: Camera, image: int) -> np.ndarray:
-    depth = camera.depth(path, image)
+def _depth(view: FrameFiles, camera: Camera, frame: int) -> np.ndarray:
+    path = view.depth[frame]
+    depth = camera.depth(path, view.number(frame))
     check_unit(depth, camera.float_scale if holds_floats(path) else camera.depth_scale, str(path))
     return depth

@@ -20,6 +20,10 @@ RESERVE = 1e-2
 
 def check_tracks(case: Case) -> Iterator[Finding]:
     """Check that points are rigid with their objects, on their surfaces, and at their places in all images."""
+    if not (np.any(case.record["segmentation"]) or np.any(case.record["depth"])):
+        if not np.all(case.record["tracks/occluded"]):
+            yield Finding("tracks", "points are visible in a clip that shows no surface")
+        return
     row = case.record["tracks/object"].astype(int) - 1
     if np.any(row >= case.count):
         yield Finding("tracks", f"a point is on object {np.max(row) + 1}, but the scene has {case.count}")

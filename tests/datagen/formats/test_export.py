@@ -103,6 +103,13 @@ def test_an_export_into_its_dataset_or_around_it_is_refused(clips: Path):
             export(clips, out, "rgbd", overwrite=True)
 
 
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_link_that_leads_to_itself_is_refused(clips: Path, tmp_path: Path, overwrite: bool):
+    (tmp_path / "circle").symlink_to("circle")
+    with pytest.raises(UsageError, match="circle is a link that leads to itself; give another --out"):
+        export(clips, tmp_path / "circle", "rgbd", overwrite=overwrite)
+
+
 def test_splits_without_scenes_are_refused(clips: Path, tmp_path: Path):
     with pytest.raises(UsageError, match="has no scenes in val, test"):
         export(clips, tmp_path / "out", "rgbd", splits=("val", "test"))

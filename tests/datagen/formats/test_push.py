@@ -58,6 +58,20 @@ def test_the_hub_gets_one_commit(folder: Path):
     assert sent["folder_path"] == folder
 
 
+def test_the_patterns_leave_the_planned_files(folder: Path):
+    utils = pytest.importorskip("huggingface_hub.utils")
+    for name in (".git/config", "train/.DS_Store", "train/.cache/a.txt", "train/a.txt", ".a.partial-host-1-1"):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("a")
+    hub, upload = Hub(), plan_upload(folder, "ada/moving")
+    push(folder, upload, private=True, hub=lambda: hub)
+    everything = [path.relative_to(folder).as_posix() for path in sorted(folder.rglob("*")) if path.is_file()]
+    ignored = hub.calls[-1][1]["ignore_patterns"]
+    sent = utils.filter_repo_objects(everything, ignore_patterns=ignored)
+    assert tuple(sent) == upload.files
+
+
 def test_a_refusal_says_what_to_do(folder: Path):
     hub = Hub(OSError("401 Unauthorized\nmore"))
     upload = plan_upload(folder, "ada/moving")

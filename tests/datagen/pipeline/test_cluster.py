@@ -1,9 +1,12 @@
 """Dask clusters of two worker processes on this machine; workers and the scheduler are killed midway."""
 
+import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -139,6 +142,22 @@ def test_workers_whose_renderer_differs_are_refused(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(shards, "renderer_identity", lambda name, _: {"name": name, "version": 1, "engine": "llvm"})
     with pytest.raises(UsageError, match=r"it has .* and renderer raster 1 llvm; expected .* and renderer raster 1\."):
         shards.make_shard(task, maker=maker, mark=tmp_path / "nowhere", arithmetic=arithmetic)
+
+
+def test_other_hosts_see_a_young_mark_during_a_long_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    class Slow:
+        def map(self, _do: object, tasks: list[shards.ShardTask], *, mark: Path, **_shared: object):
+            for task in tasks:
+                os.utime(mark, (0, 0))
+                yield task, None
+
+    monkeypatch.setattr(shards, "connected", lambda address: nullcontext(Slow()))
+    tasks = [shards.ShardTask("train", number, range(0), range(1)) for number in range(2)]
+    made = shards.make_on_cluster(SceneMaker(random_spec(train=2)), tasks, "tcp://host:1", tmp_path, lambda: None)
+    for _ in made:
+        (mark,) = tmp_path.iterdir()
+        assert time.time() - mark.stat().st_mtime < 60
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

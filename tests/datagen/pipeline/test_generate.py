@@ -271,6 +271,18 @@ def test_a_dataset_is_not_rendered_into_itself(tmp_path, overwrite: bool):
     assert shards(tmp_path / "source") == before
 
 
+def test_a_link_that_leads_to_itself_is_no_place_for_images(whole, tmp_path):
+    (tmp_path / "circle").symlink_to("circle")
+    with pytest.raises(UsageError, match="circle is a link that leads to itself; give another --out"):
+        render(whole, tmp_path / "circle", resolution=(8, 8))
+
+
+def test_a_request_for_no_scenes_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="no scenes are requested"):
+        generate(tmp_path / "a", recipe(), splits={"train": 0}, resolution=(16, 16))
+    assert not (tmp_path / "a").exists()
+
+
 def test_scenes_of_another_data_version_are_not_rendered(whole, tmp_path):
     other = read_spec(whole) | {"data_version": schema.DATA_VERSION + 1}
     (tmp_path / "other").mkdir()

@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 
 from datagen.errors import UsageError
+from datagen.rgbd import frame_files
 from datagen.rgbd.frame_files import check_pairs, list_frames, nearest_times, pair_masks, sort_frames
 
 
@@ -83,6 +84,15 @@ def test_a_pipe_is_not_skipped_silently(tmp_path: Path):
 )
 def test_matching_pairs_are_accepted(colours: str, depths: str):
     check_pairs(files(colours, "rgb"), files(depths, "depth"))
+
+
+def test_names_are_looked_through_once_for_each_folder(monkeypatch: pytest.MonkeyPatch):
+    looked: list[int] = []
+    splitter = frame_files._splitter
+    monkeypatch.setattr(frame_files, "_splitter", lambda paths: looked.append(len(paths)) or splitter(paths))
+    names = files(" ".join(map(str, range(50))))
+    check_pairs(names, names)
+    assert looked == [50, 50]
 
 
 @pytest.mark.parametrize(

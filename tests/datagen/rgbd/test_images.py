@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from datagen.errors import CorruptFile, UsageError
+from datagen.rgbd.files import read_ids
 from datagen.rgbd.images import colour_size, depth_size, read_colour, read_depth
 
 SIZE = (6, 4)
@@ -227,3 +228,10 @@ def test_damaged_metadata_cause_no_warning(tmp_path: Path):
     path = save(tmp_path, "a.jpg", Image.new("RGB", SIZE, RGB), exif=b"Exif\0\0II*\0\x08\0\0\0\x01\0")
     assert colour_size(path) == SIZE
     assert read_colour(path).shape == (*SIZE[::-1], 3)
+
+
+@pytest.mark.parametrize("wrong", [-3, 2**63 - 1])
+def test_an_id_out_of_range_is_named(tmp_path: Path, wrong: int):
+    np.save(tmp_path / "a.npy", np.array([[0, 7], [7, wrong]]))
+    with pytest.raises(UsageError, match=f"has the id {wrong}; expected 0 for the background and ids up to 4,611,"):
+        read_ids(tmp_path / "a.npy")

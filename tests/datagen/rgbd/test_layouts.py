@@ -114,6 +114,48 @@ def test_every_layout_gives_the_same_frames(write: Callable[[Path], Path], tmp_p
     assert frames.left_out == (write in (tum, stamped))
 
 
+def stamped_with_a_gap(place: Path) -> Path:
+    """Three colour images named by their times, the second without depth, and a pose for each in camera.json."""
+    for number, shot in enumerate((SHOTS[0], SHOTS[0], SHOTS[1])):
+        save(place / f"rgb/{1.3e9 + number:.1f}.png", shot.rgb)
+        if number != 1:
+            save(place / f"depth/{1.3e9 + number:.1f}.png", units(shot.depth, 1e-4))
+    poses = [POSES[0], np.eye(4).tolist(), POSES[1]]
+    write_json(place / "camera.json", camera_json(SHOTS[0], world_from_camera=poses))
+    return place
+
+
+def listed_with_a_gap(place: Path) -> Path:
+    stamped_with_a_gap(place)
+    for name in ("rgb", "depth"):
+        rows = [f"{path.stem} {name}/{path.name}" for path in sorted((place / name).iterdir())]
+        (place / f"{name}.txt").write_text("\n".join(rows))
+    return place
+
+
+@pytest.mark.parametrize("write", [stamped_with_a_gap, listed_with_a_gap])
+def test_poses_belong_to_the_images_that_were_kept(write: Callable[[Path], Path], tmp_path: Path):
+    check(found(write(tmp_path / "a")), SHOTS)
+
+
+def test_more_poses_than_images_are_refused(tmp_path: Path):
+    place = mixed(tmp_path / "a")
+    write_json(place / "camera.json", camera_json(SHOTS[0], world_from_camera=[*POSES, POSES[0]]))
+    with pytest.raises(UsageError, match="world_from_camera holds 3 poses for 2 images"):
+        check(found(place), SHOTS)
+
+
+def test_masks_of_a_mixed_folder_of_times_are_paired(tmp_path: Path):
+    for number, shot in enumerate(SHOTS):
+        images = {"color": shot.rgb, "depth": units(shot.depth, 1e-4), "mask": shot.ids}
+        for place, (word, image) in enumerate(images.items()):
+            save(tmp_path / "a" / f"{1.3e9 + number + 0.01 * place:.2f}_{word}.png", image)
+    write_json(tmp_path / "a" / "camera.json", camera_json(SHOTS[0], world_from_camera=POSES))
+    frames = found(tmp_path / "a")
+    check(frames, SHOTS)
+    assert len(frames.masks) == 2
+
+
 def test_a_single_frame_needs_no_number(tmp_path: Path):
     shot = SHOTS[0]
     place = arrays(tmp_path / "a", rgb=shot.rgb, depth=shot.depth, masks=shot.ids, world_from_camera=shot.pose)

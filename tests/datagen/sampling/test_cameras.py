@@ -147,6 +147,18 @@ def test_a_path_that_is_not_the_recipes_is_found(motion: str):
     assert list(check_cameras(record, recipe(), ()))
 
 
+@pytest.mark.parametrize("orbit", [360.0, -540.0, 3600.0])
+def test_an_orbit_of_large_steps_is_the_recipes(orbit: float):
+    wanted = dataclasses.replace(recipe(motion="orbit", orbit=orbit), frames=3)
+    poses = paths(wanted)
+    record = {"camera/world_from_camera": poses[0], "camera/world_from_camera_of_frame": poses}
+    assert list(check_cameras(record, wanted, ())) == []
+    other = dataclasses.replace(
+        wanted, rig=dataclasses.replace(wanted.rig, orbit=orbit - 1 if orbit > 0 else orbit + 1)
+    )
+    assert list(check_cameras(record, other, ()))
+
+
 @pytest.mark.parametrize("way", ["up", "out"])
 def test_one_frame_beside_an_orbit_is_found(way: str):
     wanted = recipe(motion="orbit")

@@ -1,11 +1,16 @@
 """Facts about flow, tracks, normals, coordinates and amodal masks of a small staged scene."""
 
+import dataclasses
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from datagen.geometry import project, rigid, transform
 from datagen.schema import COORDINATE_SCALE, HIDDEN, NORMAL_SCALE, OUTSIDE, SHOWN, SIGNALS, UNKNOWN, SceneRecord
+from datagen.storage.reader import Dataset
 from datagen.storage.run_lengths import decode_mask
+from datagen.verify import verify_record
 from tests.worlds import moving_cameras, rendered
 
 SPHERE = 3
@@ -28,6 +33,23 @@ def poses(record: SceneRecord, row: int) -> np.ndarray:
 def world_from_camera(record: SceneRecord, frame: int) -> np.ndarray:
     paths = record.get("camera/world_from_camera_of_frame")
     return record["camera/world_from_camera"][0] if paths is None else paths[frame, 0]
+
+
+def test_a_clip_without_surfaces_has_points_that_are_hidden_everywhere(still: SceneRecord, tmp_path: Path):
+    scene = rendered.scene()
+    away = dataclasses.replace(scene, cameras=(dataclasses.replace(scene.cameras[0], target=(2.0, 0.0, 3.0)),))
+    record = rendered.record(away, signals=["tracks"])
+    assert not np.any(record["depth"])
+    assert np.all(record["tracks/occluded"])
+    assert verify_record(record, (*rendered.GROUPS, "tracks")) == []
+    other = {name: array for name, array in still.items() if name in record}
+    rendered.write_dataset(tmp_path, [record, other])
+    for read, written in zip(Dataset(tmp_path).split("train"), (record, other), strict=True):
+        for name, array in written.items():
+            np.testing.assert_array_equal(read[name], array, err_msg=name)
+    record["tracks/occluded"][0, 5, 0] = 0
+    (found,) = verify_record(record, (*rendered.GROUPS, "tracks"))
+    assert "visible in a clip that shows no surface" in found.message
 
 
 def test_signals_leave_the_other_arrays_as_they_are(still: SceneRecord):

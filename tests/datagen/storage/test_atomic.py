@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -226,7 +227,7 @@ def test_a_new_file_takes_no_other_one_s_place(tmp_path: Path, monkeypatch: pyte
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "c.png"]
 
 
-@pytest.mark.parametrize("make", [new_file, new_folder])
+@pytest.mark.parametrize("make", [new_file, new_folder, partial(new_folder, replace=True)])
 def test_links_that_lead_to_themselves_are_told(tmp_path: Path, make: Callable[[Path], AbstractContextManager[Path]]):
     for one, other in (("circle", "other"), ("other", "circle")):
         (tmp_path / one).symlink_to(tmp_path / other)

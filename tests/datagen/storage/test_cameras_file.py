@@ -79,6 +79,7 @@ GOOD = {**VIEW, "world_from_camera": POSE.tolist()}
         ({"world_from_camera": [[1, 2], [3, 4]]}, "is not 4 x 4 numbers"),
         ({"world_from_camera": "origin"}, "is not 4 x 4 numbers"),
         ({"fx": -150}, "fx is -150; expected a focal length"),
+        ({"fx": 10**400}, "fx is not a number"),
         ({"width": 4}, "width is 4; expected a whole number of pixels from 8 to 4096"),
         ({"K": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "needs either K or all of fx"),
         ({"distortion": [0.1]}, "unknown key 'distortion'"),

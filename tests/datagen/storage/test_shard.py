@@ -39,6 +39,13 @@ def test_what_is_read_is_what_was_written(path):
         assert schema.scene_hash({name: shard.read(row, name) for name in shard.fields}) == shard.hashes()[row]
 
 
+@pytest.mark.parametrize("name", ["rgb", "poses/position"])
+def test_scenes_whose_arrays_differ_in_shape_share_no_shard(name: str):
+    longer = {**RECORDS[1], name: np.concatenate([RECORDS[1][name]] * 2)}
+    with pytest.raises(DatagenError, match=f"{name} has shapes .* and .* in scenes of one shard"):
+        shard_image([pack(RECORDS[0]), pack(longer)], {})
+
+
 def test_hdf5_itself_reads_what_we_compress(path):
     with h5py.File(path) as file:
         for name in ("rgb", "depth", "segmentation"):

@@ -61,6 +61,14 @@ def test_other_cameras_are_refused_with_the_command_that_helps(clips: Path, clev
     assert not (tmp_path / "out").exists()
 
 
+def test_a_camera_straight_above_the_origin_is_refused(clevr: Path, tmp_path: Path):
+    scene = source(clevr)
+    scene.world_from_camera = scene.world_from_camera.copy()
+    scene.world_from_camera[0, 1, :2, 3] = 0
+    with pytest.raises(UsageError, match=r"view 1: .* straight above the origin.*--rig.target 0 0 0"):
+        obsurf.write(tmp_path / "out", [scene])
+
+
 def test_more_scenes_than_the_loader_reads_are_refused(clevr: Path, tmp_path: Path):
     with pytest.raises(UsageError, match="at most 1 train scenes"):
         obsurf.write(tmp_path, [source(clevr)], most={"train": 1})

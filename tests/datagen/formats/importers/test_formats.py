@@ -4,12 +4,13 @@ import json
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from imageio.v3 import imread
 
-from datagen.errors import DatagenError, UsageError
+from datagen.errors import CorruptFile, DatagenError, UsageError
 from datagen.formats.import_request import ReadOptions, Request
 from datagen.formats.importers import rgbd
 from datagen.formats.importers.write import Report, import_dataset
@@ -106,6 +107,31 @@ def test_each_image_may_have_its_own_lens_except_in_a_clip(tmp_path: Path):
     with pytest.raises(UsageError, match=r"the camera matrix changes in the clip.*--group stills"):
         take(source, tmp_path / "clip", format="rgbd")
     assert not (tmp_path / "clip").exists()
+
+
+def test_lenses_belong_to_the_images_that_were_kept(tmp_path: Path):
+    """Of three images, named by their times, the second has no depth; each has its own lens."""
+    source = rgbd_with_two_lenses(tmp_path / "source")
+    for folder in ("rgb", "depth", "masks"):
+        for number, time in ((0, 0), (1, 2)):
+            (source / folder / f"{number}.png").rename(source / folder / f"{1.3e9 + time:.1f}.png")
+    (source / "rgb" / "1300000001.0.png").write_bytes((source / "rgb" / "1300000000.0.png").read_bytes())
+    (source / "masks" / "1300000001.0.png").write_bytes((source / "masks" / "1300000000.0.png").read_bytes())
+    camera = json.loads((source / "camera.json").read_text())
+    first, last = camera["K"]
+    write_json(source / "camera.json", {**camera, "K": [first, [[40, 0, 20], [0, 40, 15], [0, 0, 1]], last]})
+    take(source, tmp_path / "out", format="rgbd", group="stills", split="test")
+    scenes = list(Dataset(tmp_path / "out").split("test"))
+    assert len(scenes) == 2
+    assert all(max(errors(scene).values()) < MILLIMETRE for scene in scenes)
+
+
+def test_views_are_in_the_order_of_their_numbers(tmp_path: Path):
+    for number in (0, 1, 2, 10):
+        write_rgbd(tmp_path / "source" / f"view{number}", [shoot()])
+    (_, _, views), *others = rgbd._recordings(tmp_path / "source")
+    assert not others
+    assert [view.place.name for view in views] == ["view0", "view1", "view2", "view10"]
 
 
 def test_names_of_objects_are_kept(tmp_path: Path):
@@ -277,6 +303,38 @@ def test_other_bad_sources_are_named(tmp_path: Path):
     with pytest.raises(DatagenError, match=r"000001_000001\.png is missing"):
         take(bop, tmp_path / "out", format="bop")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("camera_pos", "message"),
+    [
+        (np.full((2, 3, 3), np.nan), "camera_pos of scene 0, view 0 holds no rigid pose"),
+        (np.full((2, 3, 3), "far"), "camera_pos.*numbers"),
+    ],
+)
+def test_positions_that_are_no_numbers_are_refused(camera_pos: np.ndarray, message: str, tmp_path: Path):
+    source = recordings.write_obsurf(tmp_path / "source")
+    np.savez(source / "metadata.npz", shape=np.ones((2, 2), np.int64), camera_pos=camera_pos)
+    with pytest.raises(DatagenError, match=message):
+        take(source, tmp_path / "out", format="obsurf")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"camera_intrinsics": [[1, 2, 3], [4, 5]]},
+        {"camera_intrinsics": np.full((3, 3), "a")},
+        {"camera_extrinsics": None},
+        {"camera_extrinsics": {}},
+    ],
+)
+def test_authors_cameras_that_are_no_matrices_are_refused(damage: dict[str, Any], tmp_path: Path):
+    source = recordings.write_authors(tmp_path / "source")
+    camera = {**recordings.authors_camera(shoot()), **damage}
+    np.save(source / "camera_info.npy", np.array(camera, object), allow_pickle=True)
+    with pytest.raises(CorruptFile, match=r"camera_info\.npy holds no camera; expected camera_intrinsics"):
+        take(source, tmp_path / "out", format="obpose")
 
 
 def test_authors_files_with_another_camera_are_refused(tmp_path: Path):
