@@ -44,7 +44,7 @@ class Objects:
     size: tuple[float, float] = (0.03, 0.16)
     """Range of an object's longest side, metres."""
     sizes: tuple[float, ...] = ()
-    """Allowed values of an object's longest side, metres; if not empty, they replace `size`."""
+    """Allowed values of an object's longest side, metres; if not empty, they replace `size`, except for containers."""
     size_skew: float = 0.7
     """Exponent of the uniform draw between the sizes: 1 is uniform, below 1 favours large objects."""
     shape_pool: int = 0
@@ -70,7 +70,8 @@ class Layout:
     half_extent: tuple[float, float] = (0.18, 0.2)
     """Half sides of that region, metres."""
     container_share: float = 0.0
-    """Probability that a bowl or an open box replaces an object, and others drop into it; not if `touching`."""
+    """Probability that a bowl or an open box replaces an object, and others drop into it; not if `touching`. It is half
+    to all of `objects.size[1]` long."""
     gap: float = 0.008
     """Least distance between scattered objects, metres."""
     upright_share: float = 0.6

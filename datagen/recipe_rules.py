@@ -199,6 +199,9 @@ def _contradictions(recipe: dict[str, Any]) -> Iterator[str]:
     nearest, farthest = recipe["sensor"]["nearest"], recipe["sensor"]["farthest"]
     if nearest >= farthest:
         yield f"sensor.nearest {nearest} is not below sensor.farthest {farthest}"
+    shortest, step = recipe["motion"]["push_duration"][0], recipe["physics"]["step"]
+    if recipe["motion"]["moving"] and recipe["motion"]["weights"]["push"] and shortest < step:
+        yield f"motion.push_duration starts at {shortest} s, below physics.step, {step:.4g} s"
     if not any(recipe["motion"]["weights"].values()):
         yield "motion.weights are all 0"
     if unknown := set(recipe["overrides"]) - {name for name, _ in constants(recipe)}:

@@ -98,6 +98,8 @@ def luminance(rgb: UInt8[np.ndarray, "height width 3"]) -> Depth:
 def _tangent(points: Float[np.ndarray, "height width 3"], axis: int) -> Float[np.ndarray, "height width 3"]:
     """Difference to the next or from the previous pixel: to the one nearer in depth, which is on the same surface."""
     forward = np.diff(points, axis=axis)
+    if not forward.size:
+        return np.zeros_like(points)  # a single row or column has no slope
     first, last = np.take(forward, [0], axis), np.take(forward, [-1], axis)
     ahead, behind = np.concatenate([forward, last], axis), np.concatenate([first, forward], axis)
     return np.where((np.abs(ahead[..., 2]) <= np.abs(behind[..., 2]))[..., None], ahead, behind)

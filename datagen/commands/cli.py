@@ -200,7 +200,7 @@ def _render(values: Render) -> int:
 
     from datagen.pipeline.generate import render
 
-    if values.renderer == "raster":
+    if values.renderer != "pyrender":
         _announce_compilation()
     rig = wanted if wanted != recipe else None
     settings: dict[str, Any] = {"renderer": values.renderer, "samples": values.samples, "rig": rig, "edits": edits}

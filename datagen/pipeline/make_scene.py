@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 import uuid
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -153,8 +154,10 @@ def scene_memory(spec: Spec) -> int:
     maps = 2 * sum(BYTES_PER_SIGNAL_PIXEL.get(name, 0) for name in signals) + 9 * ("tracks" in signals)
     images = recipe.frames * views_of(spec) * width * height * (40 + 20 * len(edits) + masks + maps)
     tables = recipe.frames * (48 * (objects + 1) ** 2 + 72 * views_of(spec) * objects)
+    # Objects are counted at a resolution of its own, by a rasteriser that each process keeps.
+    judged = max(math.prod(recipe.for_scene(part).visibility_resolution) for part in range(max(1, len(recipe.parts))))
     # Signals keep the surface points of some images.
-    return images + (80 * finer + 600 * bool(signals)) * width * height + tables
+    return images + (80 * finer + 600 * bool(signals)) * width * height + 80 * judged + tables
 
 
 def make_scene(

@@ -156,7 +156,7 @@ def check_course(recipe: Recipe, trajectory: Trajectory) -> None:
     Raises:
         Rejected: one of them is broken.
     """
-    if np.min(trajectory.contact_gap) < -recipe.physics.deepest_in_motion:
+    if np.min(trajectory.contact_gap[1:], initial=np.inf) < -recipe.physics.deepest_in_motion:
         raise Rejected("sank")
     _check_workspace(recipe, trajectory)
     if recipe.video and recipe.motion.moving and trajectory.position.shape[1]:

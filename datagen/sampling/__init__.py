@@ -81,7 +81,9 @@ def _filled(
 ) -> tuple[list[Spot], list[Item]]:
     """A large container in place of the last object with some that fit in, and the rest."""
     greatest = recipe.objects.size[1]
-    large = dataclasses.replace(recipe.objects, categories=CONTAINERS, size=(greatest / 2, greatest), sizes=())
+    size = (greatest / 2, greatest)
+    # Containers have sizes of their own, so they are no members of the pool.
+    large = dataclasses.replace(recipe.objects, categories=CONTAINERS, size=size, sizes=(), shape_pool=0)
     container, items = sample_item(large, split, rng), items[:-1]
     inside = [item for item in items if fits(item, container)][: rng.integers(1, _MOST_INSIDE + 1)]
     return (

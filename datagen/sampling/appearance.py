@@ -44,9 +44,8 @@ def _finish(appearance: Appearance, rng: np.random.Generator) -> str:
     return str(rng.choice(appearance.finishes))
 
 
-def _plain(finish: str, color: Vector, rng: np.random.Generator | None = None) -> Material:
-    low, high = _ROUGHNESS[finish]
-    roughness = rounded((low + high) / 2 if rng is None else rng.uniform(low, high))
+def _plain(finish: str, color: Vector) -> Material:
+    roughness = rounded(sum(_ROUGHNESS[finish]) / 2)
     return Material(finish, color, roughness=roughness, metalness=float(finish == "metal"))
 
 
@@ -73,12 +72,16 @@ def _contrasting(
     color: Vector, distance: float, appearance: Appearance, hue: float | None, rng: np.random.Generator
 ) -> Vector:
     """A second colour at least so far away in sRGB; within one hue there is only lighter and darker."""
-    if hue is not None:
+    if hue is not None and not appearance.palette:
         h, s, v = colorsys.rgb_to_hsv(*color)
         return vector(colorsys.hsv_to_rgb(h, s, v * rng.uniform(0.45, 0.65)))
     candidates = [_color(appearance, rng) for _ in range(12)]
     far = [c for c in candidates if np.sqrt(np.sum(np.subtract(c, color) ** 2)) >= distance]
-    return far[0] if far else vector(1.0 - round(c) for c in color)
+    if far:
+        return far[0]
+    if appearance.palette:  # the farthest allowed colour
+        return max(map(hex_color, appearance.palette), key=lambda c: np.sum(np.subtract(c, color) ** 2))
+    return vector(1.0 - round(c) for c in color)
 
 
 def sample_table(appearance: Appearance, rng: np.random.Generator) -> Material:

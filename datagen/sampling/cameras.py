@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.config import Lighting, Recipe, Rig
+from datagen.errors import UsageError
 from datagen.geometry import look_at, quaternion_from_rotation
 from datagen.recipe_rules import OPTIONAL_RANGES
 from datagen.sampling.poses import about_vertical
@@ -90,7 +91,11 @@ WAVES = 3
 
 
 def camera_path(camera: Camera, recipe: Recipe, angle: float, rng: np.random.Generator) -> Camera:
-    """Give a camera a pose for each frame, starting with its own; `angle` is its view's about the vertical, radians."""
+    """Give a camera a pose for each frame, starting with its own; `angle` is its view's about the vertical, radians.
+
+    Raises:
+        UsageError: the camera would pass its target, or be straight above it.
+    """
     make = {"orbit": _orbit, "linear": _linear, "handheld": _handheld}[recipe.rig.motion]
     poses = make(camera, recipe, angle, rng)
     return replace(camera, path=tuple(_pose(pose) for pose in poses))
@@ -105,7 +110,12 @@ def _orbit(camera: Camera, recipe: Recipe, angle: float, rng: np.random.Generato
 def _linear(camera: Camera, recipe: Recipe, angle: float, rng: np.random.Generator) -> list[np.ndarray]:
     way = about_vertical(angle) @ np.array(recipe.rig.travel)
     target, shares = np.array(camera.target), np.linspace(0, 1, recipe.frames)
-    return [look_at(np.array(camera.position) + share * way, target) for share in shares]
+    try:
+        return [look_at(np.array(camera.position) + share * way, target) for share in shares]
+    except ValueError as error:
+        raise UsageError(
+            f"Recipe {recipe.name!r}: {error} Change --rig.travel, --rig.target or --rig.azimuth."
+        ) from None
 
 
 def _handheld(camera: Camera, recipe: Recipe, angle: float, rng: np.random.Generator) -> list[np.ndarray]:

@@ -206,7 +206,10 @@ def _beside(
 
 
 def on_top(item: Item, kind: Motion, stance: Stance, spots: Sequence[Spot], rng: np.random.Generator) -> Spot | None:
-    """Place an object on another one whose top carries it steadily; None if there is no such object."""
+    """Place an object on another one whose top carries it steadily; None if there is no such object.
+
+    Only objects carry that are at least as high as the lower side of all others, wherever those are.
+    """
     for row in rng.permutation(len(spots)):
         roof = spots[row].stance.roof
         low, high = np.min(roof, axis=0), np.max(roof, axis=0)

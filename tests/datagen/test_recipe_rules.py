@@ -128,6 +128,7 @@ def test_numbers_beyond_their_limits_are_refused_by_name(name: str):
         ({"rig": {"target": (0.0, 0.0, -1.0)}}, "put the cameras at a height of -15.6 cm above"),
         ({"motion": {"weights": {"rest": 1e308, "drop": 1e308}}}, "motion.weights.rest is 1e+308"),
         ({"motion": {"push_duration": (1e-300, 1.0)}}, "motion.push_duration"),
+        ({"motion": {"push_duration": (0.001, 1.0)}}, "below physics.step"),
         ({"lighting": {"key": (1e308, 1e308)}}, "lighting.key"),
         (
             {"objects": {"categories": ("cube", "cubes")}},

@@ -41,6 +41,11 @@ def test_a_perfect_sensor_returns_its_input_and_no_holes() -> None:
     np.testing.assert_array_equal(valid, depth > 0)
 
 
+@pytest.mark.parametrize("shape", [(1, 40), (40, 1), (1, 1)])
+def test_a_single_row_or_column_has_no_slope(shape: tuple[int, int]) -> None:
+    assert not incidence(np.full(shape, 0.7), geometry.intrinsics(np.radians(60), shape[1], shape[0])).any()
+
+
 def test_noise_is_unbiased_and_its_deviation_grows_with_the_square_of_depth() -> None:
     config = dataclasses.replace(PERFECT, axial_noise=0.002)
     for z in (0.5, 1.0, 2.0):

@@ -220,6 +220,8 @@ def test_a_clip_in_which_something_sinks_into_the_table_is_refused():
     gap = made.trajectory.contact_gap.copy()
     gap[5, 0, 1] = gap[5, 1, 0] = -0.0019
     check_course(recipe, dataclasses.replace(made.trajectory, contact_gap=gap))
+    gap[0, 0, 1] = gap[0, 1, 0] = -0.0021  # the start has its own rule
+    check_course(recipe, dataclasses.replace(made.trajectory, contact_gap=gap))
     gap[5, 0, 1] = gap[5, 1, 0] = -0.0021
     with pytest.raises(Rejected, match="sank"):
         check_course(recipe, dataclasses.replace(made.trajectory, contact_gap=gap))

@@ -63,11 +63,14 @@ def test_one_hue_scenes_are_as_frequent_as_the_recipe_says():
 
 
 def test_a_palette_is_kept_to():
-    appearance = load_recipe("clevr3d").appearance
+    appearance = dataclasses.replace(load_recipe("clevr3d").appearance, pattern_share=0.5, one_hue_share=0.5)
     allowed = {tuple(round(x, 6) for x in hex_color(text)) for text in appearance.palette}
-    found = {material.color for scene in materials(appearance) for material in scene}
-    assert found == allowed
+    found = [material for scene in materials(appearance) for material in scene]
+    assert {material.color for material in found} == allowed
     assert len(allowed) == 8
+    seconds = {material.color2 for material in found if material.pattern != "plain"}
+    assert seconds
+    assert seconds <= allowed
 
 
 def test_tables_are_of_wood_cloth_tiles_or_paint():

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from datagen.config import Lighting, Recipe, Rig, load_recipe
+from datagen.errors import UsageError
 from datagen.sampling import sample_scene
 from datagen.sampling.cameras import exposed, sample_cameras, sample_lights
 from datagen.verify.cameras import check_cameras
@@ -59,6 +60,13 @@ def test_ranges_are_drawn_anew_for_each_scene_and_shared_by_its_views():
     assert 0.85 < max(distances) <= 0.9
     assert 30 <= min(heights) < 35
     assert 55 < max(heights) <= 60.001
+
+
+def test_a_path_that_ends_straight_above_its_target_is_refused():
+    rig = Rig(motion="linear", distance=1.0, elevation=60.0, travel=(-0.5, 0.0, 0.0))
+    recipe = dataclasses.replace(load_recipe("moving"), rig=rig)
+    with pytest.raises(UsageError, match="Change --rig"):
+        sample_cameras(recipe, np.random.default_rng(0))
 
 
 def test_lights_come_from_above_and_only_the_key_casts_a_shadow():
