@@ -1,5 +1,6 @@
 """Run folders with scores that a test chooses, as the harness would write them."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -38,8 +39,16 @@ def run_row(model: str = "m", track: str = "moving", seed: int = 0, **changes: A
 
 
 def failed_row(model: str = "m", track: str = "moving", seed: int = 0, **changes: Any) -> RunRow:
-    """A run that gave no scores."""
-    return run_row(model, track, seed, **{"status": "failed", "reason": "out of memory", "n_scenes": 0} | changes)
+    """A run that gave no scores, with the facts that are known before a model runs."""
+    facts: dict[str, Any] = {
+        "status": "failed",
+        "reason": "out of memory",
+        "config": {},
+        "n_scenes": 0,
+        "parameters": 0,
+        "measured": Measured(math.nan, math.nan, math.nan),
+    }
+    return run_row(model, track, seed, **facts | changes)
 
 
 def scene_table(scores: Mapping[str, Sequence[float] | np.ndarray], frames: int = 2) -> SceneTable:

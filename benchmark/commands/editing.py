@@ -3,14 +3,13 @@
 import glob
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from benchmark.commands import arguments
 from benchmark.commands.outputs import prepare, print_path, wide_console
 from benchmark.commands.request import job_limits, places
 from benchmark.execution.executor import Outcome, run_jobs
 from benchmark.execution.jobs import GRACE_SECONDS
-from benchmark.execution.plan import Request, trained
+from benchmark.execution.plan import Request, Weights, trained
 from benchmark.models.registry import find_model
 from benchmark.names import REFERENCES, REFINED
 from benchmark.ranking.text import terminal
@@ -66,39 +65,40 @@ def _jobs(request: Request, source: Source, values: arguments.Run) -> list[EditJ
     if values.scenes is not None and values.scenes > there:
         raise UsageError(f"--scenes is {values.scenes}; expected at most {there}, the test scenes of {source.name}.")
     scenes = values.scenes or there
-    answers: dict[str, Path | None] = {REFERENCES: None}
-    answers |= {weights.name: weights.folder for weights in trained(request, fit)}
+    answers: dict[str, Weights | None] = {REFERENCES: None}
+    answers |= {weights.name: weights for weights in trained(request, fit)}
     return [
         EditJob(
             track=source.name,
-            model=f"{model}{REFINED}" if checkpoint and values.refine else model,
+            model=f"{model}{REFINED}" if weights and values.refine else model,
             data=source.folder,
-            checkpoint=checkpoint,
+            checkpoint=weights.folder if weights else None,
             refinements=values.refine,
             scenes=scenes,
-            digest=digest({"facts": _facts(source, checkpoint, values.refine)}),
+            digest=digest({"facts": _facts(source, weights, values.refine)}),
             out=values.out,
         )
-        for model, checkpoint in answers.items()
+        for model, weights in answers.items()
     ]
 
 
-def _facts(source: Source, checkpoint: Path | None, refinements: int) -> list[object]:
+def _facts(source: Source, weights: Weights | None, refinements: int) -> list[object]:
     """List the facts that determine the scores, for the job's digest."""
-    if checkpoint is None:
+    if weights is None:
         return [VERSION, source.spec_hash, None]
-    return [VERSION, source.spec_hash, content_hash(checkpoint), *([refinements] if refinements else [])]
+    model = [find_model(weights.model).version, content_hash(weights.folder)]
+    return [VERSION, source.spec_hash, *model, *([refinements] if refinements else [])]
 
 
 def _make_room(jobs: Sequence[EditJob], *, overwrite: bool) -> None:
-    """Delete old lines that would share a place with new ones but are of other weights or another dataset."""
+    """Delete old lines that would share a place with new ones but are of another model or another dataset."""
     for job in jobs:
         place = glob.escape(f"{job.track}--{job.model}--") + "????????.csv"
         for other in (path for path in (job.out / FOLDER).glob(place) if path != job.path):
             if not overwrite:
                 raise UsageError(
-                    f"{other} has edits of other weights, of another dataset of that name, or with another --refine. "
-                    "Give another folder with --out, or --overwrite to replace them."
+                    f"{other} has edits by another version of the model, of other weights, of another dataset of that "
+                    "name, or with another --refine. Give another folder with --out, or --overwrite to replace them."
                 )
             other.unlink()
 

@@ -77,7 +77,7 @@ def request_of(values: arguments.Run) -> Request:
         raise UsageError("--task editing is for models; label maps cannot be edited.")
     if values.predictions:
         return _predictions_request(values, sources)
-    models = tuple(expand(values.model))
+    models = _models(values, sources[0])
     learns = any(find_model(name).kind == "learned" for name in models)
     if values.deterministic and values.steps is None and learns and not values.pretrained:
         raise UsageError("--deterministic counts budgets in steps; say how many with --steps.")
@@ -166,6 +166,20 @@ def _scored_folder(values: arguments.Run) -> DataFolder:
             "models can be trained on it with obpose-train."
         )
     return source
+
+
+def _models(values: arguments.Run, source: Source) -> tuple[str, ...]:
+    """List the models to score. Groups lose their oracles on real tables, whose models never get the ground truth."""
+    models = expand(values.model)
+    if not isinstance(source, RealTable):
+        return tuple(models)
+    oracles = [name for name in models if find_model(name).kind == "oracle"]
+    refused = oracles if oracles == models else [name for name in oracles if name in values.model]
+    if refused:
+        raise UsageError(
+            f"{refused[0]!r} needs the ground truth, which models do not get on track {REAL_TABLE}; leave it out."
+        )
+    return tuple(name for name in models if name not in oracles)
 
 
 def _predictions_request(values: arguments.Run, sources: list[Source]) -> Request:

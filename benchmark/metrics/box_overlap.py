@@ -6,9 +6,10 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-_UNIT = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 """Corners of the box with sides of 1 around the origin."""
-_EDGES = np.array([(i, j) for i, j in itertools.combinations(range(8), 2) if np.sum(_UNIT[i] != _UNIT[j]) == 1])
+EDGES = np.array([(i, j) for i, j in itertools.combinations(range(8), 2) if np.sum(CORNERS[i] != CORNERS[j]) == 1])
+"""Pairs of `CORNERS` that an edge of the box joins."""
 _TOLERANCE = 1e-9
 """Tolerance in metres within which a point outside a box counts as inside."""
 
@@ -36,14 +37,14 @@ def box_overlap(one: Box, other: Box) -> float:
 def box_corners(box: Box) -> Float[np.ndarray, "8 3"]:
     """Corners in the world, metres."""
     center, rotation, size = box
-    return center + (_UNIT * size) @ rotation.T
+    return center + (CORNERS * size) @ rotation.T
 
 
 def _inside(one: Box, other: Box) -> Float[np.ndarray, "point 3"]:
     """The first box's corners in the second, and where its edges enter and leave the second; world frame."""
     center, rotation, size = other
     corners = (box_corners(one) - center) @ rotation
-    start, end = corners[_EDGES[:, 0]], corners[_EDGES[:, 1]]
+    start, end = corners[EDGES[:, 0]], corners[EDGES[:, 1]]
     points = np.concatenate([corners, _piercings(start, end, size / 2)])
     within = np.all(np.abs(points) <= size / 2 + _TOLERANCE, axis=1)
     return points[within] @ rotation.T + center

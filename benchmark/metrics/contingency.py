@@ -94,6 +94,6 @@ def _count(
     cells = np.zeros(rows * columns, np.int64)
     for start in range(0, len(truth), BLOCK):
         part = slice(start, start + BLOCK)
-        index = truth[part].astype(np.int64) * columns + prediction[part]
+        index = truth[part].astype(np.int64) * columns + prediction[part].astype(np.int64)
         cells += np.bincount(index if keep is None else index[keep[part]], minlength=rows * columns)
     return cells.reshape(rows, columns)

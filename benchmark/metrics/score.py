@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float64, Int64, Integer
 
 from benchmark.metrics.agreement import adjusted_mutual_information, adjusted_rand
 from benchmark.metrics.boundaries import region_and_boundary
-from benchmark.metrics.contingency import compact, contingency, count
+from benchmark.metrics.contingency import compact, count
 from benchmark.metrics.detection import detection_scores, hota, idf1
 from benchmark.metrics.errors_by_type import identity_switches
 from benchmark.metrics.overlap import (
@@ -38,17 +38,6 @@ FrameScores = dict[str, np.ndarray]
 
 ClipScores = dict[str, np.ndarray]
 """`FrameScores` of frame * view values, frame by frame; `CLIP_METRICS` and `identity_switches` of one value a view."""
-
-
-def frame_scores(
-    truth: Integer[np.ndarray, "frame height width"],
-    prediction: Integer[np.ndarray, "frame height width"],
-    background_slot: int = 0,
-    ignore: Bool[np.ndarray, "frame height width"] | None = None,
-) -> FrameScores:
-    """`METRICS` in every frame by itself; arguments and errors as in `score`."""
-    tables, slot = contingency(truth, prediction, background_slot, ignore)
-    return _frame_scores(tables, intersection_over_union(tables), slot, truth[0].size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ Such a class has `fit` and `segment` (`benchmark.models.interface.Segmenter`). O
 - `random`: False if seeds make no difference.
 - `uses_labels`: True if it needs `Clip.truth`; its rows are marked.
 - `priors`: its inputs beyond the images, out of `benchmark.models.model_spec.PRIORS`.
-- `kind`: one of `benchmark.models.model_spec.KINDS`; "learned" if left out.
+- `kind`: one of `benchmark.models.model_spec.KINDS` except "predictions"; "learned" if left out.
 - `budget`: training budget in seconds, unless the command sets another; 600.0 if left out.
 - `extra`: names of further segmentations that its predictions hold; none if left out.
 - `views`: views of a frame that it is given, and views that supervise it, such as ("one", "all").

@@ -23,7 +23,7 @@ class Choice:
     """Result of tuning."""
 
     options: Options
-    """`slots` and the chosen value of the grid."""
+    """The given options and the chosen value of the grid."""
     scores: tuple[float, ...]
     """MSC-FG of every value, in the grid's order; empty if there is only one value."""
 

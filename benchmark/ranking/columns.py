@@ -158,7 +158,7 @@ MARKS = {
 GROUP_LETTERS = "Models that share a letter do not differ significantly (paired by scene, Holm-corrected, 5 %)."
 FRACTIONAL_RANKS = "A rank of 2.5 means that two models share places 2 and 3."
 FAILED_SEEDS = (
-    "A seed failed if its loss or a score was nan, its mIoU-BG is below 0.5 (swap), or its MSC-FG is within 0.05 of "
+    "A seed failed if its loss was nan or infinite, its mIoU-BG is below 0.5 (swap), or its MSC-FG is within 0.05 of "
     "the best floor's (collapse). A model whose every seed failed is not ranked."
 )
 NOTES = (

@@ -60,7 +60,8 @@ def compare(
     """Compare every metric on every track on which both models have scores, fitted on the same track.
 
     Raises:
-        UsageError: a model has no scores in this folder, or the two have no track in common.
+        UsageError: a model has no scores in this folder, or several results on a track, or the two have no track in
+            common.
         CorruptFile: a finished row is damaged.
     """
     # Tracks on which both models have scores.
@@ -164,8 +165,21 @@ def _failed_seeds(result: ModelResult) -> str:
 def _of_model(results: Iterable[ModelResult], model: str, folder: Path) -> dict[tuple[str, ...], ModelResult]:
     """Index a model's results by track, track fitted on, and dataset."""
     results = list(results)
-    found = {(*result.place[:2], result.row.key.track_spec): result for result in results if result.place[2] == model}
-    if not found:
+    members = [result for result in results if result.place[2] == model]
+    if not members:
         there = ", ".join(sorted({result.place[2] for result in results}))
         raise UsageError(f"{folder} has no scores of {model!r}; it has those of: {one_line(there)}.")
-    return found
+    found: dict[tuple[str, ...], list[ModelResult]] = {}
+    for result in members:
+        found.setdefault((*result.place[:2], result.row.key.track_spec), []).append(result)
+    if several := next((group for group in found.values() if len(group) > 1), None):
+        raise UsageError(
+            f"{folder} has {len(several)} results of {model!r} on {place_title(*several[0].place[:2])}, which "
+            f"differ in settings, version or data: {' and '.join(map(_seeds, several))}. Run all seeds with the same "
+            "settings and --overwrite, or give a folder that holds one of these results."
+        )
+    return {place: group[0] for place, group in found.items()}
+
+
+def _seeds(result: ModelResult) -> str:
+    return f"seeds {', '.join(str(row.key.seed) for row in result.rows)}"

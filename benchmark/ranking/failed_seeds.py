@@ -1,7 +1,7 @@
 """Rule for failed seeds, fixed before any run and the same for all models.
 
 A seed failed for one of these causes:
-- nan: its loss became nan, or a headline metric that another run on the dataset defines is undefined in all its frames.
+- nan: its loss became nan or infinite.
 - swap: its mIoU-BG is below 0.5, so background and objects changed places.
 - collapse: its MSC-FG is at most 0.05 above the best floor of the track. Without a floor, collapse is not detected, and
   the tables say so.
@@ -17,15 +17,12 @@ from benchmark.results.run_folder import RunRow
 LEAST_MIOU_BG = 0.5
 LEAST_ABOVE_FLOOR = 0.05
 
-HEADLINE = ("ari_fg", "msc_fg", "miou_bg", "ari")
-"""Metrics that a seed must define."""
-
 
 def cause_of_failure(miou_bg: float, msc_fg: float, best_floor: float, *, finite: bool = True) -> str:
     """Determine the cause of failure, `nan`, `swap` or `collapse`; empty if the seed did not fail.
 
     `best_floor` is the largest MSC-FG of a floor on the same track, nan if no floor was run. `finite` tells whether the
-    loss stayed finite in training, and the headline metrics are defined.
+    loss stayed finite in training.
     """
     if not finite:
         return "nan"

@@ -342,10 +342,10 @@ def _distinct(values: Iterable[str]) -> str:
 
 
 def _measured(rows: Sequence[RunRow]) -> dict[str, float]:
-    """Means over seeds of the times, and the largest memory."""
+    """Means over seeds of the times, and the largest memory; seeds that did not measure them are left out."""
     costs = [row.measured for row in rows]
     return {
-        "measured_seconds_per_frame": float(np.mean([cost.seconds_per_frame for cost in costs])),
-        "measured_fit_seconds": float(np.mean([cost.fit_seconds for cost in costs])),
-        "measured_peak_mib": float(np.max([cost.peak_mib for cost in costs])),
+        "measured_seconds_per_frame": mean_where_defined(np.array([cost.seconds_per_frame for cost in costs])),
+        "measured_fit_seconds": mean_where_defined(np.array([cost.fit_seconds for cost in costs])),
+        "measured_peak_mib": float(np.fmax.reduce([cost.peak_mib for cost in costs])),
     }

@@ -4,8 +4,9 @@ import hashlib
 import json
 import math
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from benchmark.ranking.leaderboard import FILES
 from benchmark.ranking.standings import ModelResult
@@ -32,14 +33,27 @@ def write_manifest(
         "machine": f"{platform.system()} {platform.machine()}",
         "packages": {name: package_version(name) or "" for name in PACKAGES},
         "commits": sorted({row.commit for row in rows}),
-        "models": {row.key.model: row.key.version for row in rows},
-        "tracks": {row.key.track: row.key.track_spec for row in rows} | {r.key.fit_track: r.key.fit_spec for r in rows},
+        "models": _by_name((row.key.model, row.key.version) for row in rows),
+        "tracks": _by_name(
+            [*((r.key.track, r.key.track_spec) for r in rows), *((r.key.fit_track, r.key.fit_spec) for r in rows)]
+        ),
         "rows": {"ok": sum(r.status == "ok" for r in rows), "failed": sum(r.status == "failed" for r in rows)},
         # Detects collapsed seeds; null if no floor was scored.
-        "best_floor": {r.row.key.track: None if math.isnan(r.best_floor) else round(r.best_floor, 6) for r in results},
+        "best_floor": _by_name(
+            (r.row.key.track, None if math.isnan(r.best_floor) else round(r.best_floor, 6)) for r in results
+        ),
         "sha256": {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in hashed},
     }
     write_atomically(folder / MANIFEST, (json.dumps(facts, indent=2) + "\n").encode())
+
+
+def _by_name(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Map each name to its value, or to a sorted list if it has several; None comes last."""
+    found: dict[str, set[Any]] = {}
+    for name, value in pairs:
+        found.setdefault(name, set()).add(value)
+    ordered = {name: sorted(values, key=lambda value: (value is None, value)) for name, values in found.items()}
+    return {name: values if len(values) > 1 else values[0] for name, values in ordered.items()}
 
 
 def commands_of(folder: Path) -> list[str]:

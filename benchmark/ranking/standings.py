@@ -4,7 +4,7 @@ Two models are compared only if they were scored on the same dataset and fitted 
 or all on one other track. Floors, oracles and models that use labels are shown and never ranked.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations, groupby
@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float64
 from benchmark.metrics import CLIP_METRICS, METRICS, OTHER_METRICS
 from benchmark.metrics.poses import POSE_METRICS
 from benchmark.ranking import statistics
-from benchmark.ranking.failed_seeds import HEADLINE, cause_of_failure, has_finite_loss
+from benchmark.ranking.failed_seeds import cause_of_failure, has_finite_loss
 from benchmark.ranking.statistics import Difference, Resamples, Summary
 from benchmark.results.run_folder import RunRow, SceneTable, load_runs, load_scenes
 from datagen.console.progress import Tracker, untracked
@@ -72,9 +72,10 @@ class ModelResult:
     @property
     def marks(self) -> str:
         """`USES_LABELS`, `TUNED` with the number of trials, and `PRETRAINED`, where they apply."""
-        row = self.row
-        tuned = f"{TUNED}{row.trials or ''}" if row.tuned else ""
-        return f"{USES_LABELS * row.uses_labels}{tuned}{PRETRAINED * bool(row.pretrained)}"
+        # Failed runs record no tuning.
+        trials = max(row.trials for row in self.rows)
+        tuned = f"{TUNED}{trials or ''}" if any(row.tuned for row in self.rows) else ""
+        return f"{USES_LABELS * self.row.uses_labels}{tuned}{PRETRAINED * bool(self.row.pretrained)}"
 
     @property
     def views(self) -> str:
@@ -220,14 +221,7 @@ def unranked(rows: Sequence[RunRow], tables: Sequence[SceneTable | None]) -> lis
         ModelResult(tuple(r for r, _ in group), ("",) * len(group), tuple(t for _, t in group)) for group in groups
     ]
     floors = _best_floors(results)
-    # Datasets and the headline metrics that some run defines on them.
-    defined = {
-        (result.row.key.track_spec, name)
-        for result in results
-        for name in HEADLINE
-        if not np.isnan(result.seed_means(name)).all()
-    }
-    return [_with_causes(result, floors.get(result.row.key.track_spec, np.nan), defined) for result in results]
+    return [_with_causes(result, floors.get(result.row.key.track_spec, np.nan)) for result in results]
 
 
 def compare_results(one: ModelResult, two: ModelResult, metric: str) -> Difference:
@@ -290,18 +284,16 @@ def _best_floors(results: Iterable[ModelResult]) -> dict[str, float]:
     return best
 
 
-def _with_causes(result: ModelResult, best_floor: float, defined: Collection[tuple[str, str]]) -> ModelResult:
-    """Add the cause of each failed seed; `defined` holds the headline metrics that some run defines."""
-    expected = [name for name in HEADLINE if (result.row.key.track_spec, name) in defined]
-    means = {name: result.seed_means(name) for name in HEADLINE}
+def _with_causes(result: ModelResult, best_floor: float) -> ModelResult:
+    """Add the cause of each failed seed."""
+    miou_bg, msc_fg = result.seed_means("miou_bg"), result.seed_means("msc_fg")
 
     def cause(seed: int, row: RunRow) -> str:
         if row.status == "failed":
             return row.reason or "no result"
         if row.kind in ("floor", "oracle"):
             return ""
-        finite = has_finite_loss(row) and not any(np.isnan(means[name][seed]) for name in expected)
-        return cause_of_failure(float(means["miou_bg"][seed]), float(means["msc_fg"][seed]), best_floor, finite=finite)
+        return cause_of_failure(float(miou_bg[seed]), float(msc_fg[seed]), best_floor, finite=has_finite_loss(row))
 
     return replace(result, best_floor=best_floor, causes=tuple(cause(*pair) for pair in enumerate(result.rows)))
 

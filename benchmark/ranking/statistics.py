@@ -102,7 +102,7 @@ def spread(values: Float[np.ndarray, "seed"]) -> tuple[float, float, float]:
 
 
 def summarise(scores: Scores, weights: Scores, resamples: Resamples) -> Summary:
-    """Mean over seeds and its interval; `resamples` are for at least this many seeds and exactly this many scenes."""
+    """Mean over seeds and its interval; `resamples` are for exactly this many seeds and scenes."""
     means = _resampled_means(scores, weights, resamples.scenes)
     chosen = resamples.seeds * ~np.isnan(means)
     low, high = interval(_ratio(np.nansum(means * chosen, axis=1), chosen.sum(axis=1)))
@@ -203,8 +203,11 @@ def _resampled_means(
 
 
 def _draw_counts(n: int, resamples: int, rng: np.random.Generator) -> Float64[np.ndarray, "resample n"]:
-    chosen = rng.integers(n, size=(resamples, n)) + n * np.arange(resamples)[:, None]
-    return np.bincount(chosen.ravel(), minlength=n * resamples).reshape(resamples, n).astype(np.float64)
+    # Row by row, since temporary arrays of all resamples would take several times the memory.
+    counts = np.empty((resamples, n))
+    for row in counts:
+        row[:] = np.bincount(rng.integers(n, size=n), minlength=n)
+    return counts
 
 
 def _p_value(found: float, drawn: Float64[np.ndarray, "resample"]) -> float:

@@ -5,10 +5,11 @@ import io
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
 from jaxtyping import Float, Int64, Integer, UInt8
 from PIL import Image, ImageDraw
 
+from benchmark.metrics.box_overlap import CORNERS, EDGES
+from benchmark.metrics.overlap import best_pairs
 from benchmark.models.interface import RECONSTRUCTION_SIDE
 from benchmark.results.reconstructions import subsampled
 from datagen.geometry import project
@@ -16,10 +17,6 @@ from datagen.inspect.preview import colored_depth, label_colors
 
 GAP = 2
 """Transparent pixels between the images of a strip."""
-
-CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-EDGES = [(i, j) for i in range(8) for j in range(i) if np.count_nonzero(CORNERS[i] != CORNERS[j]) == 1]
-"""Pairs of `CORNERS` that an edge of the box joins."""
 
 NEAREST = 0.05
 """Least depth of a box's corners, metres; boxes nearer to the camera, or behind it, are not drawn."""
@@ -36,7 +33,9 @@ def slot_colors(tables: Int64[np.ndarray, "frame truth slot"], background_slot: 
     """
     truths, slots = tables.shape[1:]
     names = np.arange(slots) + truths
-    rows, columns = scipy.optimize.linear_sum_assignment(-tables.sum(axis=0)[1:])
+    shared = tables.sum(axis=0)[1:]
+    shared[:, background_slot] = 0
+    rows, columns = np.nonzero(best_pairs(shared) & (shared > 0))
     names[columns] = rows + 1
     names[background_slot] = 0
     return label_colors(truths + slots)[names]

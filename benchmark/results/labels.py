@@ -55,24 +55,14 @@ def write_labels(path: Path, scenes: int, data: Path) -> Iterator[LabelWriter]:
         writer.poses.flush()
 
 
-def check_labels(*paths: Path) -> None:
-    """Check that files of label maps exist.
-
-    Raises:
-        UsageError: one does not.
-    """
-    for path in paths:
-        if not path.is_file():
-            raise UsageError(
-                f"There is no file {path}; expected label maps that a run of obpose-bench left in its folder. "
-                "Published results are without them: the run's command makes them."
-            )
-
-
 @contextmanager
 def _reading(path: Path) -> Iterator[h5py.File]:
     """Open a run's file of label maps; raises UsageError if it does not exist, CorruptFile if it is damaged."""
-    check_labels(path)
+    if not path.is_file():
+        raise UsageError(
+            f"There is no file {path}; expected label maps that a run of obpose-bench left in its folder. "
+            "Published results are without them: the run's command makes them."
+        )
     with open_hdf5(path, _ADVICE) as file:
         yield file
 

@@ -8,6 +8,7 @@ from typing import Literal
 import torch
 
 from benchmark.ranking.leaderboard import Cell, Line
+from datagen.errors import UsageError
 from datagen.tracks import DataFolder, Source, find_track
 from obpose.scenes.model_ref import Origin, load_origin
 from obpose.storage.pretrained import shipped_to_create
@@ -57,8 +58,16 @@ class ModelFlags:
         return self.checkpoint or shipped_to_create(self.source.name)
 
     def folder(self, *others: str) -> Path:
-        """Folder of the dataset; missing scenes of the split, and of other splits, are generated."""
-        return self.source.prepare((self.split, *others))
+        """Folder of the dataset; missing scenes of the split, and of other splits, are generated.
+
+        Raises:
+            UsageError: one of these splits has no scenes.
+        """
+        splits = (self.split, *others)
+        folder = self.source.prepare(splits)
+        if empty := [name for name in splits if not self.source.size(name)]:
+            raise UsageError(f"{folder} has no scenes in split {empty[0]}; expected at least one. Generate some.")
+        return folder
 
     def origin(self) -> Origin:
         """Load the model, and set PyTorch up for inference on one core."""

@@ -49,8 +49,9 @@ def run(flags: Flags) -> Iterator[Line]:
         path, table = labels_path(flags.folder, row), load_scenes(flags.folder, row)
         scenes, lines = Dataset(dataset_of(path)).split("test"), []
         names = scenes.spec.get("import", {}).get("recordings", {}).get("test") or [*map(str, range(len(scenes)))]
-        for index, (labels, _) in enumerate(read_labels(path)):
+        for index, (labels, slot) in enumerate(read_labels(path)):
             truth = read_truth(scenes, index)
+            labels = np.where(labels == slot, 0, np.where(labels == 0, slot, labels))  # 0 is the background
             if flags.pictures is not None:
                 picture = tint(scenes.read(index, ["rgb"])["rgb"][0, 0], labels[0, 0], OPACITY)
                 write_png(

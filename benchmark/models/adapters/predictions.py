@@ -70,14 +70,12 @@ class PredictionFolder:
                 _check_images(self._images(scene), shape[1:])
 
     def digest(self) -> str:
-        """SHA-256 of names and contents of all files, and of the background slot."""
+        """SHA-256 of names and contents of the files that are scored, and of the background slot."""
         found = hashlib.sha256(str(self.background_slot).encode())
-        root = self.folder / HDF5 if self._is_hdf5() else self.folder / SPLIT
-        for path in sorted(root.rglob("*")) if root.is_dir() else [root]:
-            if path.is_file():
-                found.update(f"{path.relative_to(self.folder).as_posix()}|".encode(errors="surrogateescape"))
-                with path.open("rb") as file:
-                    found.update(hashlib.file_digest(file, "sha256").digest())
+        for path in self._scored():
+            found.update(f"{path.relative_to(self.folder).as_posix()}|".encode(errors="surrogateescape"))
+            with path.open("rb") as file:
+                found.update(hashlib.file_digest(file, "sha256").digest())
         return found.hexdigest()
 
     def read(self, scene: int, clip: Clip) -> Prediction:
@@ -103,6 +101,14 @@ class PredictionFolder:
                 "Renumber them."
             )
         return Prediction(labels, self.background_slot if slot is None else slot, poses=poses)
+
+    def _scored(self) -> list[Path]:
+        """Files with label maps, in order; notes and hidden files are left out."""
+        if self._is_hdf5():
+            return [self.folder / HDF5]
+        root = self.folder / SPLIT
+        found = sorted([*root.glob("*.npz"), *root.glob("*/*.png")])
+        return [path for path in found if not any(part.startswith(".") for part in path.relative_to(root).parts)]
 
     def _is_hdf5(self) -> bool:
         if not (self.folder / HDF5).exists():

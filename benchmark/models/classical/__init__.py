@@ -131,4 +131,4 @@ STRONGER = {
         labelled_trials=140,
     ),
 }
-"""Stronger baselines without published results yet; they are not part of the group `training-free`."""
+"""Stronger baselines; they are not part of the group `training-free`."""

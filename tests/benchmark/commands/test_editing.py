@@ -1,8 +1,10 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from benchmark.commands.cli import main
+from benchmark.models.registry import MODELS
 from benchmark.tasks.editing.lines import load_all
 from datagen.errors import EXIT_OK, EXIT_USAGE
 from datagen.pipeline.generate import generate
@@ -51,7 +53,9 @@ def test_a_dataset_without_edits_is_refused(tmp_path: Path, capsys):
     assert "holds no edits" in capsys.readouterr().err
 
 
-def test_a_run_leaves_lines_and_tables_and_goes_on(fitting: Path, tmp_path: Path, capsys):
+def test_a_run_leaves_lines_and_tables_and_goes_on(
+    fitting: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
     out = tmp_path / "out"
     assert run_cli(*MODEL, "--data", fitting, "--out", out) == EXIT_OK
     shown = capsys.readouterr()
@@ -72,6 +76,10 @@ def test_a_run_leaves_lines_and_tables_and_goes_on(fitting: Path, tmp_path: Path
     assert len({line["psnr_outside"] for line in lines.values()}) == 2
     assert run_cli(*given, "--data", fitting, "--out", out, "--refine", 5) == EXIT_USAGE
     assert "or with another --refine" in " ".join(capsys.readouterr().err.split())
+    # Another version of the model makes its edits again.
+    monkeypatch.setitem(MODELS, "obpose", replace(MODELS["obpose"], version=MODELS["obpose"].version + 1))
+    assert run_cli(*MODEL, "--data", fitting, "--out", out) == EXIT_USAGE
+    assert "edits by another version of the model" in " ".join(capsys.readouterr().err.split())
 
 
 def test_lines_of_another_dataset_are_not_mixed_in(fitting: Path, tmp_path: Path, capsys):

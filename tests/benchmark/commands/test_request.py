@@ -9,6 +9,7 @@ import pytest
 from assets import CHECKPOINTS
 from benchmark.commands.arguments import Run
 from benchmark.commands.request import request_of
+from benchmark.models.registry import GROUPS
 from datagen import config
 from datagen.errors import UsageError
 from datagen.storage import spec
@@ -32,6 +33,21 @@ def test_a_dataset_without_images_is_refused(tmp_path: Path):
     (tmp_path / spec.SPEC_FILE).write_text(json.dumps(facts))
     with pytest.raises(UsageError, match=r"holds no images; make them with: obpose-datagen render --from"):
         request(tmp_path)
+
+
+def on_real_table(folder: Path, *models: str) -> tuple[str, ...]:
+    return request_of(Run(model=models, track=("real-table",), data=folder, out=folder.parent / "out")).models
+
+
+def test_oracles_are_no_models_for_real_tables(tmp_path: Path):
+    """Frames are prepared as by `obpose-segment`, which has no ground truth."""
+    folder = import_balls(tmp_path / "with", masks=("test",)).folder
+    assert on_real_table(folder, "poses", "training-free") == (
+        "plane-hdbscan-boxes", *GROUPS["floors"].members, *GROUPS["classical"].members
+    )  # fmt: skip
+    for models in (("oracle-k-slots", "training-free"), ("oracles",)):
+        with pytest.raises(UsageError, match=r"'oracle-k-slots' needs the ground truth, .* leave it out"):
+            on_real_table(folder, *models)
 
 
 def test_an_equal_budget_goes_with_a_group_unless_another_is_given():

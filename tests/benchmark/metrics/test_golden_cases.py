@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmark.commands.selftest import checks, golden, label_maps
-from benchmark.metrics import CLIP_METRICS, METRICS, OTHER_METRICS, clip_scores, frame_scores, score
+from benchmark.metrics import CLIP_METRICS, METRICS, OTHER_METRICS, clip_scores, score
 
 CASES = {case["name"]: case for case in golden()["cases"]}
 VIDEOS = [case for case in CASES.values() if case["kind"] == "video"]
@@ -48,8 +48,7 @@ def test_images_without_objects_are_counted():
 
 
 def test_frames_of_the_id_switch_are_perfect_by_themselves():
-    frames = frame_scores(*label_maps(CASES["v_id_switch_half"]))
-    assert np.all(frames["ari_fg"] == 1.0)
+    assert score(*label_maps(CASES["v_id_switch_half"]))["ari_fg"] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -70,6 +69,6 @@ def test_views_are_no_time(case: dict[str, Any]):
         for name in CLIP_METRICS:
             assert both[name][view] == alone[name]
         assert both["identity_switches"][view] == alone["identity_switches"]
-        frames = frame_scores(truth[::step], prediction[::step])
+        frames = clip_scores(truth[::step, None], prediction[::step, None])
         for name in METRICS:
             np.testing.assert_array_equal(both[name][view::2], frames[name])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from sklearn.metrics import adjusted_rand_score
 
-from benchmark.metrics import CLIP_METRICS, METRICS, clip_scores, frame_scores, score
+from benchmark.metrics import CLIP_METRICS, METRICS, clip_scores, score
 
 settings.register_profile("metrics", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("metrics")
@@ -16,6 +16,14 @@ settings.load_profile("metrics")
 SHAPE = (2, 5, 6)
 truths = hnp.arrays(np.uint8, SHAPE, elements=st.integers(0, 3))
 predictions = hnp.arrays(np.int64, SHAPE, elements=st.integers(0, 5))
+
+
+def frame_scores(
+    truth: np.ndarray, prediction: np.ndarray, slot: int = 0, ignore: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
+    """Metrics and counts of the frames of one view."""
+    scores = clip_scores(truth[:, None], prediction[:, None], slot, None if ignore is None else ignore[:, None])
+    return {name: scores[name] for name in (*METRICS, "objects", "ignored")}
 
 
 def metrics_of(truth: np.ndarray, prediction: np.ndarray, slot: int = 0) -> np.ndarray:
@@ -46,6 +54,13 @@ def test_rand_indices_agree_with_scikit_learn(truth: np.ndarray, prediction: np.
             assert frames["ari_fg"][i] == pytest.approx(expected)
         else:
             assert np.isnan(frames["ari_fg"][i])
+
+
+@given(truths, predictions)
+def test_the_type_of_labels_does_not_matter(truth: np.ndarray, prediction: np.ndarray):
+    scores = metrics_of(truth, prediction)
+    for kind in (np.uint8, np.uint64):
+        np.testing.assert_array_equal(metrics_of(truth.astype(kind), prediction.astype(kind)), scores)
 
 
 @given(truths, predictions, st.integers(0, 7))

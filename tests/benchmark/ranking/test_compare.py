@@ -134,6 +134,14 @@ def test_names_are_no_markup():
     assert "Warning: [/v] failed" in text
 
 
+def test_two_results_of_one_name_are_refused(folder: Path):
+    """Seeds of other settings remain if --overwrite replaces fewer seeds."""
+    save_run(folder, run_row("b", "static", 2, n_scenes=N, version=2), scene_table({"ari_fg": np.ones(N)}))
+    for pair in (("a", "b"), ("b", "a")):
+        with pytest.raises(UsageError, match=r"2 results of 'b' on static, .*: seeds 0, 1 and seeds 2\. Run all seeds"):
+            compare(folder, *pair)
+
+
 def test_a_model_that_is_not_there_is_named(folder: Path):
     with pytest.raises(UsageError, match=r"no scores of 'd'; it has those of: a, b, c"):
         compare(folder, "a", "d")

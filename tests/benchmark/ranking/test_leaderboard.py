@@ -60,6 +60,8 @@ def test_means_are_over_seeds_and_failures_are_told(folder: Path):
     counts = [row[name] for name in ("n_seeds", "n_scored", "n_failed", "failures")]
     assert counts == ["3", "2", "1", "2: out of memory"]
     assert (row["n_scenes"], row["n_frames"], row["identity_switches_mean"]) == (str(N), str(2 * N), "1.000000")
+    costs = [row[f"measured_{name}"] for name in ("seconds_per_frame", "fit_seconds", "peak_mib")]
+    assert costs == ["0.015000", "5.000000", "101.000000"], "the failed seed has none"
     floors = [float(seed["msc_fg"]) for seed in read(folder / "per_seed.csv") if seed["model"] == "floor"]
     assert float(row["best_floor"]) == pytest.approx(np.mean(floors), abs=1e-6)
 

@@ -101,6 +101,12 @@ def test_floors_oracles_and_label_users_are_never_ranked():
     }
 
 
+def test_the_mark_of_tuning_stays_if_the_first_seed_failed():
+    """A failed run records neither tuning nor trials."""
+    tuned = [scored("m", 0.5, seed, tuned=True, trials=12) for seed in (1, 2)]
+    assert results_of((failed_row("m"), None), *tuned)["m"].marks == "‡12"
+
+
 def test_equal_models_share_the_mean_of_their_places():
     """Exactly equal ones, and those of which one leads in ARI-FG and the other in MSC-FG by as much."""
     found = results_of(scored("best", 0.9), scored("a", 0.8), scored("b", 0.8), scored("last", 0.7))
@@ -124,17 +130,6 @@ def test_a_model_whose_every_seed_failed_is_not_ranked():
         "half": 1,
     }
     assert (results["half"].n_scored, results["swapped"].n_scored, results["swapped"].n_failed) == (1, 1, 1)
-
-
-def test_a_score_that_only_this_run_leaves_undefined_is_a_failure():
-    nothing = np.full(N, np.nan)
-    row, table = scored("m", 0.8)
-    broken = (run_row("broken", n_scenes=N), table | {"miou_bg": nothing, "miou_bg_n": np.zeros(N)})
-    assert results_of((row, table), broken)["broken"].causes == ("nan",)
-    other = (run_row("m", seed=1, n_scenes=N), broken[1])
-    assert results_of((row, table), other)["m"].causes == ("", "nan")
-    empty = [(run_row(name, n_scenes=N), scene_table(dict.fromkeys(RANKED_METRICS, nothing))) for name in ("a", "b")]
-    assert {result.causes for result in results_of(*empty).values()} == {("",)}
 
 
 def test_the_bar_is_known_only_where_a_floor_has_scores():

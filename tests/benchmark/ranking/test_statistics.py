@@ -1,4 +1,5 @@
 import math
+import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
@@ -41,6 +42,17 @@ def test_one_seed_has_no_sample_deviation():
     assert statistics.spread(np.array([0.5, np.nan]))[:2] == (0.5, 0.0)
     assert math.isnan(statistics.spread(np.array([0.5]))[2])
     assert all(map(math.isnan, statistics.spread(np.array([np.nan]))))
+
+
+def test_resamples_are_drawn_like_one_matrix_in_little_memory():
+    """Published intervals rest on these draws."""
+    chosen = np.random.default_rng(0).integers(301, size=(1000, 301))
+    tracemalloc.start()
+    found = draw(1, 301, np.random.default_rng(0), 1000).scenes
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    np.testing.assert_array_equal(found, [np.bincount(row, minlength=301) for row in chosen])
+    assert peak < 1.5 * found.nbytes
 
 
 def test_weighted_intervals_agree_with_scipy(rng: np.random.Generator):

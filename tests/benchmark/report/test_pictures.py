@@ -51,6 +51,17 @@ def test_a_slot_has_the_colour_of_the_object_that_it_covers_best_over_the_clip()
     assert found[2].tolist() not in truth[:3].tolist()
 
 
+def test_false_segments_and_the_background_have_no_colour_of_an_object() -> None:
+    tables = np.zeros((1, 3, 4), np.int64)
+    tables[0, 0] = [40, 0, 0, 9]
+    tables[0, 1] = [30, 5, 0, 0]
+    tables[0, 2] = [20, 0, 0, 0]
+    truth = label_colors(7)
+    found = slot_colors(tables, background_slot=0)
+    assert np.array_equal(found[:2], truth[:2])
+    assert not {*map(tuple, found[2:].tolist())} & {*map(tuple, truth[:3].tolist())}
+
+
 def test_every_slot_has_another_colour() -> None:
     tables = np.random.default_rng(1).integers(0, 9, (4, 6, 9))
     assert len(np.unique(slot_colors(tables, background_slot=2), axis=0)) == 9

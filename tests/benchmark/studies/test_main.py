@@ -20,6 +20,14 @@ def test_help_lists_every_study_in_one_line(capsys: pytest.CaptureFixture[str]):
         assert import_module(f"benchmark.studies.{name}").__doc__
 
 
+@pytest.mark.parametrize("study", ["views", "samples", "fitted_scenes --picture a.png", "mesh_extents"])
+def test_a_split_without_scenes_is_refused(
+    study: str, stills: Path, checkpoint: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert main([*study.split(), "--data", str(stills), "--checkpoint", str(checkpoint)]) == EXIT_USAGE
+    assert f"{stills} has no scenes in split test; expected at least one" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -14,6 +14,7 @@ from datagen.commands.cli import main as datagen
 from datagen.config import load_recipe
 from datagen.errors import EXIT_OK, EXIT_USAGE
 from datagen.pipeline.generate import generate
+from tests.worlds.imported import import_balls
 from tests.worlds.sphere_clips import clip_and_truth
 
 WEIGHTS = "supervised--desk--128x96"
@@ -66,6 +67,20 @@ def test_true_and_predicted_masks_are_rows_of_their_own(
         assert float(lines[masks, WEIGHTS, frame]["ari_fg"]) > 0.9
         assert [*drawn.glob(f"*-{frame}--{WEIGHTS}-0.png")]
     assert float(lines["real-table", "plane-components", "balls"]["ari_fg"]) > 0.9
+
+
+def test_given_masks_may_have_any_background_slot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("OBPOSE_CACHE", str(tmp_path / "cache"))
+    frames = import_balls(tmp_path / "frames", masks=("test",))
+    truth = frames.split("test")[0]["segmentation"]
+    (tmp_path / "mine" / "test").mkdir(parents=True)
+    labels = np.where(truth == 0, 5, np.where(truth == 1, 0, truth))
+    np.savez(tmp_path / "mine" / "test" / "00000.npz", labels=labels, background_slot=5)
+    run = ["--track", tracks.REAL_TABLE, "--data", str(frames.folder), "--predictions", str(tmp_path / "mine")]
+    assert cli.main([*run, "--out", str(tmp_path / "run"), "--workers", "1"]) == EXIT_OK
+    assert main(["real_frames", str(tmp_path / "run"), "--csv", str(tmp_path / "a.csv")]) == EXIT_OK
+    lines = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
+    assert [(line["msc_fg"], line["false objects"]) for line in lines] == [("1.000000", "0"), ("1.000000", "0.000000")]
 
 
 def test_a_run_without_real_tables_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

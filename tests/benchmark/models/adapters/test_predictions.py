@@ -136,6 +136,26 @@ def test_changed_predictions_are_another_row(data: Path, truths: list[np.ndarray
     assert pooled(load_scenes(tmp_path / "out", row), "msc_fg") == 0.5
 
 
+@pytest.mark.parametrize(
+    ("write", "scored"), [(write_npz, "00001.npz"), (write_png, "00001/view0_frame000.png")], ids=["npz", "png"]
+)
+def test_only_files_that_are_scored_are_part_of_the_digest(
+    truths: list[np.ndarray], tmp_path: Path, write: Writer, scored: str
+):
+    write(tmp_path, truths)
+    folder, split = PredictionFolder(tmp_path), tmp_path / "test"
+    before = folder.digest()
+    (split / ".hidden").mkdir()
+    for name in (".DS_Store", "README.txt", "._00000.npz", "preview.png", ".hidden/0.png"):
+        (split / name).write_text("not scored")
+    if write is write_png:
+        for name in (".DS_Store", "._view0_frame000.png", "notes.txt"):
+            (split / "00000" / name).write_text("not scored")
+    assert folder.digest() == before
+    (split / scored).write_bytes(b"other label maps")
+    assert folder.digest() != before
+
+
 @pytest.mark.slow
 def test_mended_predictions_replace_failed_rows_unasked(data: Path, truths: list[np.ndarray], tmp_path: Path):
     for name in ("a", "b"):
