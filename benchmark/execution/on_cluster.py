@@ -1,6 +1,7 @@
 """Run jobs on the workers of a Dask cluster, each in a process of its own with limits."""
 
 import dataclasses
+import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -31,7 +32,8 @@ def on_cluster(address: str, out: Path) -> Iterator[None]:
             kept = cluster.keep(f"obpose {job.state[0]}") if job.state else None
             if kept and not kept.read():
                 kept.write(_read(job.out, job.state))
-            mark.touch()  # other hosts delete temporary files that are old
+            with suppress(FileNotFoundError):
+                os.utime(mark)  # other hosts delete temporary files that are old
             made = cluster.call(run_remotely, job, limits, mark, stop=stop)
             outcome, files = made or (Outcome((), "interrupted"), {})
             _write(job.out, files)

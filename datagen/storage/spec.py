@@ -43,7 +43,7 @@ from datagen.schema import (
     EditKind,
     Signal,
 )
-from datagen.storage.safe_io import MOST_ARRAY_BYTES, read_json
+from datagen.storage.safe_io import MOST_ARRAY_BYTES, parse_json, read_json
 
 SPEC_FILE = "dataset.json"
 MANIFEST_FILE = "manifest.json"
@@ -296,7 +296,7 @@ def groups_of(spec: Spec) -> tuple[str, ...]:
 @lru_cache(maxsize=2)
 def _parsed_recipe(text: str) -> Recipe:
     """Recipe of a JSON text; every scene requests that of its dataset."""
-    return recipe_from_dict(json.loads(text))
+    return recipe_from_dict(parse_json(text))
 
 
 def recipe_of(spec: Spec) -> Recipe:
