@@ -1,7 +1,6 @@
 """Run jobs on the workers of a Dask cluster, each in a process of its own with limits."""
 
 import dataclasses
-import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -12,7 +11,7 @@ from typing import Any
 
 from benchmark.execution.executor import SAVING_SECONDS, Limits, Outcome, Runnable, run_isolated, running_jobs_by
 from datagen.errors import Busy, UsageError
-from datagen.pipeline.cluster import Cancellation, Kept, connected, memory_share, shared_mark
+from datagen.pipeline.cluster import Cancellation, Kept, connected, keep_mark, memory_share, shared_mark
 from datagen.storage.atomic import write_atomically
 
 
@@ -32,8 +31,7 @@ def on_cluster(address: str, out: Path) -> Iterator[None]:
             kept = cluster.keep(f"obpose {job.state[0]}") if job.state else None
             if kept and not kept.read():
                 kept.write(_read(job.out, job.state))
-            with suppress(FileNotFoundError):
-                os.utime(mark)  # other hosts delete temporary files that are old
+            keep_mark(mark)
             made = cluster.call(run_remotely, job, limits, mark, stop=stop)
             outcome, files = made or (Outcome((), "interrupted"), {})
             _write(job.out, files)

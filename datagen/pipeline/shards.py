@@ -9,10 +9,11 @@ from pathlib import Path
 
 from datagen.console.progress import Advance
 from datagen.errors import UsageError
-from datagen.pipeline.cluster import connected, shared_mark
+from datagen.pipeline.cluster import connected, keep_mark, shared_mark
 from datagen.pipeline.make_scene import SceneMaker, renderer_identity
 from datagen.pipeline.parallel import make_all
 from datagen.schema import DATA_VERSION, FIELDS, SPLITS
+from datagen.storage.atomic import remove_abandoned
 from datagen.storage.dataset_folder import write_file
 from datagen.storage.manifest import package_version, write_record
 from datagen.storage.shard import PackedScene, Shard, shard_image
@@ -113,10 +114,11 @@ def make_on_cluster(
     with connected(address) as cluster, shared_mark(folder) as mark:
         shared = {"maker": maker.with_absolute_paths(), "mark": mark, "arithmetic": arithmetic_of(maker.spec)}
         for task, new in cluster.map(make_shard, tasks, **shared):
-            mark.touch()  # other hosts delete temporary files that are old
+            keep_mark(mark)
             for _ in task.todo:
                 advance()
             yield task, new
+    remove_abandoned(folder)  # of workers that were killed while they wrote
 
 
 def make_shard(task: ShardTask, *, maker: SceneMaker, mark: Path, arithmetic: str) -> list[PackedScene] | None:
