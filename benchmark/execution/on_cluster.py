@@ -11,7 +11,7 @@ from typing import Any
 
 from benchmark.execution.executor import SAVING_SECONDS, Limits, Outcome, Runnable, run_isolated, running_jobs_by
 from datagen.errors import Busy, UsageError
-from datagen.pipeline.cluster import Cancellation, Kept, connected, keep_mark, memory_share, shared_mark
+from datagen.pipeline.cluster import Cancellation, Kept, connected, memory_share, refresh_mark, shared_mark
 from datagen.storage.atomic import write_atomically
 
 
@@ -31,7 +31,7 @@ def on_cluster(address: str, out: Path) -> Iterator[None]:
             kept = cluster.keep(f"obpose {job.state[0]}") if job.state else None
             if kept and not kept.read():
                 kept.write(_read(job.out, job.state))
-            keep_mark(mark)
+            refresh_mark(mark)
             made = cluster.call(run_remotely, job, limits, mark, stop=stop)
             outcome, files = made or (Outcome((), "interrupted"), {})
             _write(job.out, files)

@@ -177,7 +177,7 @@ def connected(address: str, *, seconds: float = 30) -> Iterator[Cluster]:
         client.close(timeout=seconds)
 
 
-def keep_mark(mark: Path) -> None:
+def refresh_mark(mark: Path) -> None:
     """Make a mark look new, because other hosts delete temporary files that are old."""
     with suppress(FileNotFoundError):
         os.utime(mark)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from datagen.console.progress import Advance
 from datagen.errors import UsageError
-from datagen.pipeline.cluster import connected, keep_mark, shared_mark
+from datagen.pipeline.cluster import connected, refresh_mark, shared_mark
 from datagen.pipeline.make_scene import SceneMaker, renderer_identity
 from datagen.pipeline.parallel import make_all
 from datagen.schema import DATA_VERSION, FIELDS, SPLITS
@@ -114,7 +114,7 @@ def make_on_cluster(
     with connected(address) as cluster, shared_mark(folder) as mark:
         shared = {"maker": maker.with_absolute_paths(), "mark": mark, "arithmetic": arithmetic_of(maker.spec)}
         for task, new in cluster.map(make_shard, tasks, **shared):
-            keep_mark(mark)
+            refresh_mark(mark)
             for _ in task.todo:
                 advance()
             yield task, new

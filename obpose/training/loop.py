@@ -164,7 +164,7 @@ class _Run:
     val_source: ClipSource | None
     """Clips for scores and pictures."""
     val_clips: ClipSource | None
-    """What the model makes of them for losses; only in the first process."""
+    """`Trainable.training_source` of these clips, for losses; None in all processes but the first."""
     config: Configuration
     progress: _Progress
     record: Record | None
