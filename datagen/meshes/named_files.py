@@ -4,6 +4,7 @@ They are read only from inside the folder that the user gave, and all of them co
 """
 
 import hashlib
+import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -67,7 +68,7 @@ class NamedFiles:
         """
         name = name.strip().replace("\\", "/")
         try:
-            path = (self.mesh.parent / name).resolve()
+            path = Path(os.path.realpath(self.mesh.parent / name))  # `resolve` fails on a link to itself
             is_there = path.is_file()
         except (OSError, ValueError):  # a name that is too long, or has a null character
             self.missing.append(name)

@@ -201,8 +201,11 @@ def _check_glb(path: Path, data: bytes) -> None:
 
 
 def _piece(path: Path, geometry: Any, matrix: np.ndarray) -> _Piece:
+    vertices = np.asarray(geometry.vertices, np.float64)
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise BadMesh(f"{path} has vertices without three coordinates. Export it again, or remove it.")
     with np.errstate(all="ignore"):  # numbers that are not finite are refused later
-        vertices = np.asarray(geometry.vertices, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
     faces = np.asarray(geometry.faces, np.int64).reshape(-1, 3)
     if np.any((faces < 0) | (faces >= len(vertices))):
         raise BadMesh(f"{path} has faces with corners that do not exist. Export it again, or remove it.")

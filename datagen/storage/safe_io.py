@@ -63,10 +63,6 @@ _FOREIGN_FILTERS = 32001
 """HDF5 and h5py have the filters below this number; packages add the others."""
 _NUMBERS = {int: "iu", float: "f"}
 """NumPy kinds that may be read as a type."""
-_PYTHON_WORDS = re.compile(
-    r"NoneType|not supported between|unsupported operand|object is not|object cannot be|not iterable"
-)
-"""Words of Python's type errors, which do not help the owner of the file."""
 _HDF5_ERRORS = (OSError, KeyError, IndexError, ValueError, TypeError, RuntimeError, OverflowError, AttributeError)
 """h5py reports damage as any of these."""
 _NPY_ERRORS = (
@@ -549,7 +545,7 @@ def brief_reason(error: Exception) -> str:
     if isinstance(error, KeyError) and error.args:
         return f"{error.args[0]!s:.160} is missing"
     text = re.sub(r"<[\w.]+ object at 0x[0-9a-f]+>", "a value", " ".join(f"{error}".split()))
-    if isinstance(error, AttributeError) or _PYTHON_WORDS.search(text):
+    if isinstance(error, AttributeError | TypeError):
         return "a value has another type than expected"
     return text[:200] or type(error).__name__
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from safetensors.numpy import save_file
 
@@ -34,6 +35,9 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "shard.h5": write_hdf5,
     "model.safetensors": write_safetensors,
     "depth.npy": lambda path: np.save(path, np.ones((4, 5), np.float32)),
+    "clip.npy": lambda path: np.save(path, np.array([{"rgb": np.ones(3), "misc": {"fx": 1}}], object)),
+    "box.glb": lambda path: trimesh.creation.box().export(path),
+    "box.stl": lambda path: trimesh.creation.box().export(path),
     "labels.npz": lambda path: np.savez(path, labels=np.zeros((2, 1, 4, 4), np.uint8), background_slot=0),
     "image.png": lambda path: Image.new("RGB", (8, 6)).save(path),
     "image.jpg": lambda path: Image.new("RGB", (8, 6)).save(path),

@@ -78,11 +78,11 @@ def _camera(values: Any, path: Path) -> _Camera:
     """Convert camera_intrinsics and camera_extrinsics to our conventions."""
     try:
         k, pose = (np.asarray(values[name], np.float64) for name in ("camera_intrinsics", "camera_extrinsics"))
-        if k.shape != (3, 3) or pose.shape != (4, 4):
+        if k.shape != (3, 3) or pose.shape != (4, 4) or not np.isfinite(k).all():
             raise ValueError
     except (ValueError, TypeError, LookupError, OverflowError):
         raise CorruptFile(
-            f"{path} holds no camera; expected camera_intrinsics (3, 3) and camera_extrinsics (4, 4)."
+            f"{path} holds no camera; expected camera_intrinsics (3, 3) and camera_extrinsics (4, 4), both finite."
         ) from None
     signs = np.sign([k[0, 0], k[1, 1]])
     if signs[0] != signs[1] or not signs.all():
@@ -175,16 +175,17 @@ def _load_frames(path: Path) -> list[Frame]:
 
 
 def _checked(frame: Any, path: Path) -> Frame:
-    if type(frame) is not dict or not all(isinstance(frame.get(name), np.ndarray) for name in ("rgb", "depth")):
-        raise CorruptFile(f"{path} holds no frames; expected dicts with arrays rgb and depth.")
+    expected = (("rgb", None), ("depth", None), ("mask_bin", np.zeros(0)))
+    if type(frame) is not dict or not all(isinstance(frame.get(*each), np.ndarray) for each in expected):
+        raise CorruptFile(f"{path} holds no frames; expected dicts with arrays rgb, depth and, optionally, mask_bin.")
     height, width = frame["depth"].shape if frame["depth"].ndim == 2 else (0, 0)
     mask = frame.get("mask_bin", np.zeros((height, width, 1)))
-    fits = isinstance(mask, np.ndarray) and mask.ndim == 3 and mask.shape[:2] == (height, width)
+    fits = mask.ndim == 3 and mask.shape[:2] == (height, width)
     numeric = all(array.dtype.kind in "biuf" for array in (frame["rgb"], frame["depth"], mask))
     if not height or frame["rgb"].shape != (height, width, 3) or not fits or not numeric:
         raise CorruptFile(
             f"{path} has rgb of shape {frame['rgb'].shape}, depth {frame['depth'].shape} and mask_bin "
-            f"{np.shape(mask)}; expected (h, w, 3), (h, w) and (h, w, 1 + objects)."
+            f"{mask.shape}; expected (h, w, 3), (h, w) and (h, w, 1 + objects)."
         )
     if not 1 <= mask.shape[2] <= 1 + _MOST_OBJECTS:
         raise CorruptFile(f"{path} has masks of {mask.shape[2] - 1} objects; expected 0 to {_MOST_OBJECTS}.")

@@ -96,6 +96,13 @@ def test_names_of_files_that_cannot_be_are_missing_and_few_are_listed(tmp_path: 
     assert (len(problems), problems[-1]) == (6, "6 more files are missing")
 
 
+def test_a_texture_that_is_a_link_to_itself_is_missing(tmp_path: Path):
+    write_obj(tmp_path, texture="loop.png")
+    (tmp_path / "loop.png").unlink(missing_ok=True)
+    (tmp_path / "loop.png").symlink_to("loop.png")
+    assert read_mesh(tmp_path, "box.obj").problems == ("loop.png is missing",)
+
+
 def test_texture_coordinates_without_a_material_give_no_colours(tmp_path: Path):
     path = write_obj(tmp_path)
     path.write_text(path.read_text().replace("mtllib box.mtl", "mtllib  "))
@@ -176,6 +183,11 @@ def huge_array(folder: Path) -> str:
     return change_header(path, lambda header: header["accessors"].append({"count": 10**9}))
 
 
+def list_as_type(folder: Path) -> str:
+    path = write_textured_glb(folder / "a.glb")
+    return change_header(path, lambda header: header["accessors"][0].update(type=[None]))
+
+
 def texture_elsewhere(folder: Path) -> str:
     path = write_textured_glb(folder / "a.glb")
     return change_header(path, lambda header: header.update(images=[{"uri": "../a.png"}]))
@@ -203,6 +215,12 @@ def not_a_number(folder: Path) -> str:
 
 def infinite(folder: Path) -> str:
     return write_ply(folder / "a.ply", np.where(BOX[3] == BOX, np.inf, BOX), triangles()).name
+
+
+def two_coordinates(folder: Path) -> str:
+    folder.mkdir()
+    (folder / "a.obj").write_text("v 0 0\nv 0 1\nv 1 0\nf 1 2 3\n")
+    return "a.obj"
 
 
 def enormous(folder: Path) -> str:
@@ -252,6 +270,7 @@ def single_point(folder: Path) -> str:
         (damaged_other_texture, r"box\.webp is damaged"),
         (damaged_embedded_texture, r"a\.glb: image 0 is damaged"),
         (huge_array, r"a\.glb has an array of 1,000,000,000 rows"),
+        (list_as_type, r"a\.glb is damaged or no mesh \(a value has another type than expected\)"),
         (texture_elsewhere, r"a\.glb names '\.\./a\.png', which lies outside of"),
         (compressed, r"a\.glb needs KHR_draco_mesh_compression"),
         (huge_embedded_texture, r"a\.glb: image 0 has too many pixels"),
@@ -260,6 +279,7 @@ def single_point(folder: Path) -> str:
         (without_faces, "no triangles"),
         (not_a_number, "NaN"),
         (infinite, "infinite"),
+        (two_coordinates, "three coordinates"),
         (enormous, r"beyond 1e\+09"),
         (wrong_corner, r"a\.ply"),
         (five_million_faces, "5,000,000 faces"),

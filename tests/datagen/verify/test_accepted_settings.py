@@ -19,7 +19,7 @@ from datagen.pipeline.generate import Run, generate, render
 from datagen.pipeline.make_scene import make_scene, renderer_identity
 from datagen.recipe_rules import LIMITS, OPTIONAL_RANGES, RANGES
 from datagen.render import make_renderer
-from datagen.schema import EDITS, SceneRecord
+from datagen.schema import EDITS, SIGNALS, SceneRecord
 from datagen.storage.spec import Spec, groups_of, make_spec, recipe_of
 from datagen.verify import Finding, verify_record
 from datagen.verify.dataset import find
@@ -53,6 +53,8 @@ SMALLER = {
     "rig.elevation": (-20, 89.9),
     "rig.target": (-0.5, 0.5),
     "rig.jitter": (0, 0.2),
+    "rig.travel": (-1, 1),
+    "rig.shake": (0, 0.2),
     "physics.step": (1 / 2000, 1 / 120),
     "physics.settle_seconds": (0, 0.5),
 }
@@ -204,3 +206,25 @@ def views(draw: st.DrawFn) -> dict[str, Any]:
 @pytest.mark.slow
 def test_every_accepted_camera_is_verified():
     check(views(), examples=20, least=5)
+
+
+@st.composite
+def camera_paths(draw: st.DrawFn) -> dict[str, Any]:
+    """Settings of cameras that move, with all signals that fit."""
+    recipe = copy.deepcopy(draw(st.sampled_from(RECIPES)))
+    recipe["rig"]["motion"] = draw(st.sampled_from(["orbit", "linear", "handheld"]))
+    for name in ("orbit", "travel", "shake", "sway"):
+        recipe["rig"][name] = draw(constants(f"rig.{name}", recipe["rig"][name]))
+    recipe |= {"frames": draw(st.integers(1, 4)), "views": draw(st.integers(1, 3)), "attempts": 6}
+    recipe["least_visible_pixels"] = draw(st.sampled_from([0, recipe["least_visible_pixels"]]))
+    return {
+        "values": recipe,
+        "resolution": (draw(st.integers(8, 48)), draw(st.integers(8, 48))),
+        "seed": draw(st.integers(0, 99)),
+        "signals": draw(st.sampled_from([(), SIGNALS])),
+    }
+
+
+@pytest.mark.slow
+def test_every_accepted_camera_path_is_verified():
+    check(camera_paths(), examples=40, least=20)

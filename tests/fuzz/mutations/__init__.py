@@ -7,6 +7,7 @@ from numpy.random import Generator
 
 from tests.fuzz.mutations.arrays import bomb, change_array, change_member
 from tests.fuzz.mutations.draw import Mutator, pick
+from tests.fuzz.mutations.glb import change_glb
 from tests.fuzz.mutations.hdf5 import change_attribute, change_hdf5
 from tests.fuzz.mutations.images import huge_picture, other_format, other_mode
 from tests.fuzz.mutations.json_values import change_json, change_spec
@@ -22,6 +23,8 @@ FORMATS: dict[str, Sequence[Mutator]] = {
     ".h5": (change_hdf5, change_hdf5, change_hdf5, change_attribute),
     ".safetensors": (change_tensors_header, change_metadata, change_tensor, change_tensor),
     ".npy": (change_array,),
+    ".glb": (change_glb,),
+    ".stl": BYTES,
     ".npz": (*(change_member,) * 11, bomb),
     ".png": (other_mode, other_mode, other_format, huge_picture),
     ".jpg": (other_mode, other_format, huge_picture),

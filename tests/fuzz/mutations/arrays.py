@@ -9,13 +9,15 @@ import numpy as np
 from numpy.random import Generator
 
 from tests.fuzz.mutations.draw import pick
+from tests.fuzz.mutations.json_values import PLAIN
 
 DTYPES = ("f8", "f4", "f2", "i8", "i1", "u1", "u4", "?", "c16", "S5", ">f4", ">u2")
 
 
 def change_array(path: Path, rng: Generator) -> str:
-    """An NPY file with another header, type, shape or other values."""
-    content, change = changed_npy(np.load(path), rng)
+    """An NPY file with another header, type, shape or other values; of pickled dicts, one value is changed."""
+    array = np.load(path, allow_pickle=True)
+    content, change = _changed_dicts(array, rng) if array.dtype == object else changed_npy(array, rng)
     path.write_bytes(content)
     return change
 
@@ -74,6 +76,25 @@ def changed_npy(array: np.ndarray, rng: Generator) -> tuple[bytes, str]:
     array = array.copy()
     change = spoil_values(array, rng)
     return _npy(array), change
+
+
+def _changed_dicts(dicts: np.ndarray, rng: Generator) -> tuple[bytes, str]:
+    """Pickled dicts, in one of which, or in a dict in it, one value is changed or gone."""
+    facts = pick(rng, dicts.tolist())
+    parent = pick(rng, [facts, *(value for value in facts.values() if isinstance(value, dict))])
+    key, how = pick(rng, list(parent)), pick(rng, ("replace", "array", "gone", "unsafe"))
+    if how == "gone":
+        del parent[key]
+    elif how == "array":
+        shape = np.shape(parent[key])
+        array = np.zeros(pick(rng, other_shapes(shape)), pick(rng, DTYPES[:9]))
+        spoil_values(array, rng)
+        parent[key] = array
+    else:
+        parent[key] = pick(rng, PLAIN) if how == "replace" else Path("x")
+    file = io.BytesIO()
+    np.save(file, dicts, allow_pickle=True)
+    return file.getvalue(), f"{how} {key}"
 
 
 def _other_header(array: np.ndarray, rng: Generator) -> tuple[bytes, str]:

@@ -325,6 +325,7 @@ def test_positions_that_are_no_numbers_are_refused(camera_pos: np.ndarray, messa
     [
         {"camera_intrinsics": [[1, 2, 3], [4, 5]]},
         {"camera_intrinsics": np.full((3, 3), "a")},
+        {"camera_intrinsics": np.full((3, 3), np.nan)},
         {"camera_extrinsics": None},
         {"camera_extrinsics": {}},
     ],
@@ -334,6 +335,15 @@ def test_authors_cameras_that_are_no_matrices_are_refused(damage: dict[str, Any]
     camera = {**recordings.authors_camera(shoot()), **damage}
     np.save(source / "camera_info.npy", np.array(camera, object), allow_pickle=True)
     with pytest.raises(CorruptFile, match=r"camera_info\.npy holds no camera; expected camera_intrinsics"):
+        take(source, tmp_path / "out", format="obpose")
+
+
+@pytest.mark.parametrize("name", ["rgb", "depth", "mask_bin"])
+def test_authors_frames_that_hold_no_arrays_are_refused(name: str, tmp_path: Path):
+    source = recordings.write_authors(tmp_path / "source")
+    frame = {**recordings.authors_frame(shoot()), name: "x"}
+    np.save(source / "train/0.npy", np.array([frame], object), allow_pickle=True)
+    with pytest.raises(CorruptFile, match=r"0\.npy holds no frames; expected dicts with arrays"):
         take(source, tmp_path / "out", format="obpose")
 
 
