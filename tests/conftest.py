@@ -8,6 +8,7 @@ from pathlib import Path
 
 import jaxtyping
 import pytest
+from hypothesis import settings
 from jaxtyping import install_import_hook
 
 from tests.paths import ROOT
@@ -24,6 +25,10 @@ def _leaf_modules() -> list[str]:
 
 
 install_import_hook(_leaf_modules(), "beartype.beartype")
+
+# Property tests draw the same examples in every run.
+settings.register_profile("fixed", deadline=None, derandomize=True, max_examples=50)
+settings.load_profile("fixed")
 
 # A shell starts what it puts in the background with Ctrl-C ignored, and programs under test would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -45,7 +45,7 @@ def slug(heading: str) -> str:
 
 @cache
 def anchors(page: Path) -> list[str]:
-    return [slug(heading) for heading in HEADING.findall(FENCE.sub("", page.read_text()))]
+    return slugs(page.read_text())
 
 
 def broken_links(text: str, page: Path) -> Iterator[str]:
@@ -110,11 +110,10 @@ def test_named_files_exist(page: Path):
     assert missing_files(page.read_text()) == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name != "CHANGELOG.md"], ids=name_of)
 def test_headings_of_a_page_differ(page: Path):
     """Equal headings get other anchors on GitHub than on the site."""
-    if page.name != "CHANGELOG.md":
-        assert len({*anchors(page)}) == len(anchors(page))
+    assert len({*anchors(page)}) == len(anchors(page))
 
 
 def test_every_page_is_in_the_navigation_of_the_site():

@@ -6,7 +6,8 @@ import importlib
 import numpy as np
 import pytest
 
-from tests.test_imports import ROOT, module_name, sources
+from tests.paths import ROOT
+from tests.test_imports import module_name, sources
 
 MODULES = [module_name(path) for path in sources() if ">>> " in (ROOT / path).read_text()]
 

@@ -8,7 +8,8 @@ from types import CodeType
 
 import pytest
 
-from tests.test_imports import ROOT, sources
+from tests.paths import ROOT
+from tests.test_imports import sources
 
 ALWAYS = {*dir(builtins), "__file__", "__module__", "__qualname__", "__annotations__", "__path__"}
 

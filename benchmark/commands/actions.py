@@ -1,6 +1,7 @@
 """The commands of `obpose-bench`."""
 
 import math
+from dataclasses import replace
 
 from rich.console import Console
 from rich.table import Table
@@ -106,14 +107,16 @@ def selftest(_values: arguments.Selftest) -> int:
 
 def _make_room(values: arguments.Run, plan: Plan, rows: list[RunRow]) -> list[RunRow]:
     """Delete the rows to be replaced or tried again, and return the others."""
-    # Given label maps are always tried again, as corrected files give another row.
     places = {key.place for key in plan.keys}
-    again = [
-        row
-        for row in rows
-        if row.status == "failed"
-        and (row.key.place in places if row.kind == "predictions" else values.retry and row.key in plan.keys)
-    ]
+    # A run that serves all seeds is tried again for all of them.
+    served = {*plan.keys, *(replace(key, seed=0) for key in plan.keys)}
+
+    def is_tried_again(row: RunRow) -> bool:
+        if row.kind == "predictions":
+            return row.key.place in places  # corrected label maps give another row
+        return values.retry and (row.key if row.random else replace(row.key, seed=0)) in served
+
+    again = [row for row in rows if row.status == "failed" and is_tried_again(row)]
     kept = [row for row in rows if row not in again]
     if not values.overwrite:
         check_places(plan.keys, kept)

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.csv_files import load_curve, read_csv, save_curve
+from benchmark.csv_files import load_curve, read_csv, save_curve, to_csv
 from datagen.errors import CorruptFile, UsageError
 
 
@@ -37,6 +37,11 @@ def test_other_files_are_refused(tmp_path: Path):
         read_csv(tmp_path)
     with pytest.raises(FileNotFoundError):
         read_csv(tmp_path / "b.csv")
+
+
+def test_floats_have_six_decimals_and_cells_that_a_line_lacks_are_empty():
+    lines = [{"x": -1e-9, "n": 2}, {"x": -1e-6, "text": "a"}]
+    assert to_csv(lines) == "x,n,text\n0.000000,2,\n-0.000001,,a\n"
 
 
 def test_a_curve_is_read_as_it_was_written(tmp_path: Path):

@@ -1,16 +1,15 @@
 """The report in headless Chromium: nothing overflows, nothing complains, everything can be reached."""
 
 import json
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.browser import BROWSER, MISSING
 from tests.worlds.runs import MODELS, TRACKS, write_report, write_runs
 
-BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), "")
 FLAGS = [
     "--headless",
     "--no-sandbox",
@@ -29,7 +28,7 @@ WIDTHS = (1280, 1100, 820, 390)
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not BROWSER, reason="needs Chromium or Chrome on the PATH, such as Debian's package chromium"),
+    pytest.mark.skipif(not BROWSER, reason=MISSING),
 ]
 
 # Looks at the page in a frame of the wanted width, as windows have a least width.

@@ -21,7 +21,7 @@ SPLIT = "train=4,val=2,test=2"
 LONG = ("--split", "train=4,val=40,test=2")
 """Scenes of a run that lasts until a signal comes that is sent once the first shard is there."""
 MOST_RUNS = 100
-"""Within which chance must have killed twenty."""
+"""Within which chance must have killed ten."""
 
 
 @pytest.fixture(scope="module")

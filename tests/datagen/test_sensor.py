@@ -17,10 +17,10 @@ def flat(z: float) -> np.ndarray:
     return np.full((SIZE, SIZE), z, np.float32)
 
 
-def slanted(angle: float, z: float = 1.0) -> np.ndarray:
-    """A plane through (0, 0, z) whose normal makes `angle` (degrees) with the optical axis."""
+def slanted(angle: float) -> np.ndarray:
+    """A plane through (0, 0, 1) whose normal makes `angle` (degrees) with the optical axis."""
     rays = geometry.pixel_rays(K, SIZE, SIZE)
-    return (z / (1 + rays[..., 0] * np.tan(np.radians(angle)))).astype(np.float32)
+    return (1 / (1 + rays[..., 0] * np.tan(np.radians(angle)))).astype(np.float32)
 
 
 def stepped() -> np.ndarray:

@@ -72,9 +72,12 @@ def test_a_seed_stands_for_one_damage(tmp_path: Path, name: str):
     assert unchanged < SEEDS / 10
 
 
-def test_half_of_a_shard_is_described_by_the_other(tmp_path: Path):
+def test_what_describes_a_shard_is_all_of_it_but_its_data(tmp_path: Path):
     write_hdf5(tmp_path / "shard.h5")
     with h5py.File(tmp_path / "shard.h5") as file:
-        data = [file["depth"].id.get_chunk_info(number) for number in range(2)]
-    inside = [start <= chunk.byte_offset < end for chunk in data for start, end in described(tmp_path / "shard.h5")]
-    assert not any(inside)
+        chunks = [file["depth"].id.get_chunk_info(number) for number in range(2)]
+        data = {byte for chunk in chunks for byte in range(chunk.byte_offset, chunk.byte_offset + chunk.size)}
+        texts = file["texts"].id
+        data |= {*range(texts.get_offset(), texts.get_offset() + texts.get_storage_size())}
+    found = {byte for start, end in described(tmp_path / "shard.h5") for byte in range(start, end)}
+    assert found == {*range((tmp_path / "shard.h5").stat().st_size)} - data

@@ -27,9 +27,9 @@ class BallField(Field):
         return torch.tensor([1.0, 0.5, 0.25]).expand_as(directions)
 
 
-def empty_field(latent: int = 2) -> Field:
+def empty_field() -> Field:
     """One that is nowhere dense."""
-    return BallField(-10.0, latent)
+    return BallField(-10.0)
 
 
 def random_boxes(batch: int, frames: int, slots: int, size: float = 0.2, seed: int = 0) -> Boxes:

@@ -20,7 +20,6 @@ from obpose.variants import make_config
         ("model.slots=255", "model.slots is 255; expected at most 254"),
         ("model.latent.frequencies=25", "model.latent.frequencies is 25; expected at most 24"),
         ("model.voxels=129", "model.voxels is 129; expected at most 128"),
-        ("model.slots=1000000000", "model.slots is 1000000000; expected at most 254"),
         ("model.object_field.width=1025", "model.object_field.width is 1025; expected at most 1024"),
         ("model.background_field.depth=17", "model.background_field.depth is 17; expected at most 16"),
         ("model.backbone.blocks=0,1,1,17", "model.backbone.blocks is (0, 1, 1, 17); expected 4 numbers of 0 to 16"),

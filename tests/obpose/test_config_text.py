@@ -8,14 +8,7 @@ from obpose.config import Config, override
 from obpose.config_text import differences, from_plain, parse_changes, to_plain
 from obpose.contact.config import ContactConfig
 from obpose.errors import UsageError
-from obpose.variants import PROFILES, VARIANTS, make_config
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("profile", PROFILES)
-def test_every_configuration_survives_as_text(variant: str, profile: str):
-    config = make_config(variant, profile)
-    assert from_plain(to_plain(config)) == config
+from obpose.variants import make_config
 
 
 @pytest.mark.parametrize(
@@ -56,7 +49,7 @@ def test_later_values_may_be_missing():
         ("model.spacing", [0.01], "a number"),
         ("model.workspace_center", [0, 1], "2 values, expected 3"),
         ("model.workspace_center", [0, 1, "2"], "a number"),
-        ("model.workspace_center", 3, "expected"),
+        ("model.workspace_center", 3, "expected a list"),
         ("model.backbone.blocks", [8, 8.5], "a whole number"),
         ("model.backbone.blocks", {"0": 8}, "unknown values, model.backbone.blocks.0"),
         ("model.pose", 3, "unknown values, model.pose:"),
@@ -125,11 +118,11 @@ def test_the_last_of_two_changes_counts():
         ("loss.translation=NaN", "expected a number"),
         ("loss.translation=Infinity", "expected a number"),
         ("loss.translation=1e999", "expected a number"),
-        ("model.workspace_center=[NaN,0,0]", "expected"),
+        ("model.workspace_center=[NaN,0,0]", "expected a list"),
         ("model.pose.conditioning=near", "expected one of world, none, location, full"),
         ("train.steps=some", "expected a whole number or none"),
         ("model.workspace_center=1,2", "2 values, expected 3"),
-        ("model.backbone.blocks=a,b", "expected"),
+        ("model.backbone.blocks=a,b", "expected a list"),
     ],
 )
 def test_impossible_changes_are_refused(text: str, message: str):

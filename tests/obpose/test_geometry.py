@@ -1,8 +1,9 @@
 import pytest
 import torch
 
-from obpose.geometry import all_rays, sample_rays_where
+from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject
 from obpose.types import Observation
+from tests.worlds.observations import labels_by_colour, table_scene
 
 HEIGHT, WIDTH = 8, 10
 
@@ -22,6 +23,22 @@ def corner() -> torch.Tensor:
     interest = torch.full((2, 2, 1, HEIGHT, WIDTH), 1e-3)
     interest[:, :, :, :2] = 1
     return interest
+
+
+def test_rays_of_every_view_end_at_the_surfaces_of_the_world():
+    scene = table_scene(views=3)
+    rays, points = all_rays(scene), unproject(scene)
+    torch.testing.assert_close(rays.origin + rays.direction * rays.depth[..., None], points.flatten(2, 4))
+    assert points[labels_by_colour(scene.rgb) == 0][:, 2].abs().max() < 1e-4
+
+
+@pytest.mark.parametrize("count", [25, 60])
+def test_pixels_are_drawn_once_and_those_without_depth_last(count: int):
+    scene = observation(seen=0.5)
+    rays = sample_rays(scene, count, torch.Generator().manual_seed(0))
+    torch.testing.assert_close(rays.colour[..., 0] * HEIGHT * WIDTH, rays.index.float())
+    assert all(len(index.unique()) == count for index in rays.index.flatten(0, 1))
+    assert torch.equal(rays.valid.sum(dim=-1), scene.valid.sum(dim=(2, 3, 4)).clamp(max=count))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])

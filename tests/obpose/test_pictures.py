@@ -9,7 +9,19 @@ from PIL import Image
 
 from obpose.data.clips import observation_of
 from obpose.geometry import sides_of_points, unproject
-from obpose.pictures import COLUMNS, GAP, HEADER, MARGIN, PALETTE, box_edges, draw, reconstruct, tint, write_picture
+from obpose.pictures import (
+    COLUMNS,
+    GAP,
+    HEADER,
+    MARGIN,
+    PALETTE,
+    box_edges,
+    draw,
+    draw_box,
+    reconstruct,
+    tint,
+    write_picture,
+)
 from obpose.types import Decoded
 from tests.obpose.toy import SIZE, SLOTS, ToyClips, ToyModel, toy_config
 
@@ -93,15 +105,33 @@ def test_boxes_have_twelve_edges_of_their_size():
     torch.testing.assert_close(edges.mean(dim=(1, 2)), center)
 
 
-def test_boxes_are_drawn_around_the_points_of_each_label():
-    found = ToyModel(toy_config()).segment(clips())
-    labels = torch.zeros_like(found.labels)
-    labels[:, :, :, 2:4, 3:6] = 2
+def test_sides_reach_to_the_farthest_point_of_a_label_along_the_axes_of_its_box():
+    boxes = ToyModel(toy_config()).segment(clips()).inference.boxes
+    turn = torch.eye(3).roll(1, dims=0)
+    boxes = dataclasses.replace(boxes, rotation=turn.expand_as(boxes.rotation))
     points = unproject(clips())
-    sides = sides_of_points(points, labels, found.inference.boxes)
+    labels = torch.zeros(points.shape[:-1], dtype=torch.int64)
+    labels[:, :, :, 2:4, 3:6] = 2
+    sides = sides_of_points(points, labels, boxes)
     assert sides[:, :, 0].isnan().all()
-    mine = points[0, 1, 0, 2:4, 3:6].reshape(-1, 3) - found.inference.boxes.center[0, 1, 1]
-    torch.testing.assert_close(sides[0, 1, 1], 2 * mine.abs().amax(dim=0))
+    farthest = (points[0, 1, 0, 2:4, 3:6].reshape(-1, 3) - boxes.center[0, 1, 1]).abs().amax(dim=0)
+    assert len(farthest.unique()) == 3
+    torch.testing.assert_close(sides[0, 1, 1], 2 * farthest[[1, 2, 0]])
+
+
+def test_edges_are_drawn_where_the_camera_sees_them_and_not_behind_it():
+    pose = torch.eye(4)
+    # The camera looks along the world's x axis, and its right is the world's y axis.
+    pose[:3, :3] = torch.tensor([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    pose[:3, 3] = torch.tensor([1.0, 2.0, 3.0])
+    seen = torch.tensor([[-0.5, 0.25, 1.0], [0.5, 0.25, 1.0]])
+    edges = torch.stack([seen, seen * torch.tensor([1, -1, -1]), seen * torch.tensor([[1, -1, 1], [1, -1, -1]])])
+    canvas = Image.new("RGB", (40, 30))
+    k = torch.tensor([[20.0, 0, 20], [0, 20, 15], [0, 0, 1]])
+    draw_box(canvas, edges @ pose[:3, :3].T + pose[:3, 3], 3, k=k, pose=pose)
+    expected = np.zeros((30, 40, 3), np.uint8)
+    expected[20, 10:31] = PALETTE[3]
+    np.testing.assert_array_equal(np.asarray(canvas), expected)
 
 
 def test_a_model_without_poses_is_drawn_without_boxes(monkeypatch: pytest.MonkeyPatch):

@@ -106,7 +106,7 @@ def test_stills_are_divided_less_and_simple_shapes_are_completed(track: str, bia
 
 
 @pytest.mark.parametrize("track", [track.name for track in all_tracks() if track.name != "mixed"])
-@pytest.mark.parametrize("name", ["obpose", "obpose-loc"])
+@pytest.mark.parametrize("name", ["obpose", "obpose-loc", "obpose-contact"])
 def test_boxes_are_longer_than_the_objects_of_a_track(name: str, track: str):
     system = find_system(name)
     box = system.config("cpu", system.on_tracks.get(track, {})).model.pose.box_size

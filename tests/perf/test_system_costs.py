@@ -1,4 +1,4 @@
-"""Parameters, step time and memory of every learned system, beside those that were measured of the authors' code."""
+"""Parameters, step time and memory of learned systems, beside those that were measured of the authors' code."""
 
 import json
 import subprocess

@@ -75,14 +75,14 @@ def random_spec(*, seed: int = 0, **splits: int) -> spec.Spec:
     return spec.make_spec(small, seed=seed, splits=splits, resolution=(7, 5), renderer=renderer)
 
 
-def random_record(seed: int, *, frames: int = 3, views: int = 2, size: tuple[int, int] = (7, 5)) -> schema.SceneRecord:
-    """Noise in every field of the format."""
+def random_record(seed: int) -> schema.SceneRecord:
+    """Noise in every field of the format: three frames, two views, 7x5 pixels."""
     rng = np.random.default_rng(seed)
     lengths = {
-        "frame": frames,
-        "view": views,
-        "height": size[1],
-        "width": size[0],
+        "frame": 3,
+        "view": 2,
+        "height": 5,
+        "width": 7,
         "channel": 3,
         "light": 2,
         "byte": 1,

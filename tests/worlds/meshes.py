@@ -21,14 +21,14 @@ def triangles() -> np.ndarray:
     return np.array([face for a, b, c, d in QUADS for face in ((a, b, c), (a, c, d))])
 
 
-def write_obj(folder: Path, size: tuple[float, float, float] = (0.1, 0.08, 0.12), *, texture: str = "box.png") -> Path:
-    """A box with six coloured sides in one texture, in `folder/box.obj` with its MTL file and image."""
+def write_obj(folder: Path, *, texture: str = "box.png") -> Path:
+    """A box of 10 x 8 x 12 cm with six coloured sides in one texture: `folder/box.obj`, its MTL file and image."""
     folder.mkdir(parents=True, exist_ok=True)
     pixels = np.repeat(np.repeat(np.array(SIDES, np.uint8).reshape(2, 3, 3), 32, axis=0), 32, axis=1)
     Image.fromarray(pixels).save(folder / "box.png")
     (folder / "box.mtl").write_text(f"newmtl paint\nKd 0 0 0\nmap_Kd {texture}\n")
     lines = ["mtllib box.mtl", "usemtl paint"]
-    lines += ["v {:.6f} {:.6f} {:.6f}".format(*corner) for corner in BOX * 0.5 * np.array(size)]
+    lines += ["v {:.6f} {:.6f} {:.6f}".format(*corner) for corner in BOX * [0.05, 0.04, 0.06]]
     for side in range(6):
         # Away from the borders of the side's field in the texture; v counts from the lower edge.
         left, top = side % 3 / 3 + 0.05, 1 - (side // 3 / 2 + 0.05)

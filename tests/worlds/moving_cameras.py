@@ -9,19 +9,19 @@ from datagen.scene import Camera, CameraPose, Scene
 from tests.worlds import rendered
 
 
-def orbiting(world: Scene | None = None, degrees: float = 12.0) -> Scene:
-    """A staged scene whose cameras turn about its middle by this angle from frame to frame."""
+def orbiting(world: Scene | None = None) -> Scene:
+    """A staged scene whose cameras turn about its middle by 12 degrees from frame to frame."""
     world = world or rendered.scene()
-    cameras = tuple(with_path(camera, world.frames, degrees) for camera in world.cameras)
+    cameras = tuple(with_path(camera, world.frames) for camera in world.cameras)
     return dataclasses.replace(world, cameras=cameras)
 
 
-def with_path(camera: Camera, frames: int, degrees: float) -> Camera:
+def with_path(camera: Camera, frames: int) -> Camera:
     """The camera with a pose for each frame."""
     target, offset = np.array(camera.target), np.array(camera.position) - np.array(camera.target)
     path = []
     for frame in range(frames):
-        cos, sin = np.cos(np.radians(degrees * frame)), np.sin(np.radians(degrees * frame))
+        cos, sin = np.cos(np.radians(12 * frame)), np.sin(np.radians(12 * frame))
         pose = look_at(target + np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ offset, target)
         w, x, y, z = map(float, quaternion_from_rotation(pose[:3, :3]))
         path.append(CameraPose((float(pose[0, 3]), float(pose[1, 3]), float(pose[2, 3])), (w, x, y, z)))

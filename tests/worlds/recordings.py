@@ -93,10 +93,10 @@ def units(depth: np.ndarray, scale: float) -> np.ndarray:
     return np.rint(depth / scale).astype(np.uint16)
 
 
-def camera_json(shot: Shot, scale: float = 1e-4, **more: Any) -> dict[str, Any]:
+def camera_json(shot: Shot, **more: Any) -> dict[str, Any]:
     """Content of camera.json, in OpenCV's convention."""
     (fx, _, cx), (_, fy, cy), _ = shot.k.tolist()
-    return {"fx": fx, "fy": fy, "cx": cx - 0.5, "cy": cy - 0.5, "depth_scale": scale, **more}
+    return {"fx": fx, "fy": fy, "cx": cx - 0.5, "cy": cy - 0.5, "depth_scale": 1e-4, **more}
 
 
 def write_json(path: Path, values: Any) -> Path:
@@ -106,14 +106,14 @@ def write_json(path: Path, values: Any) -> Path:
     return path
 
 
-def write_rgbd(folder: Path, shots: Sequence[Shot], *, masks: bool = True, scale: float = 1e-4, **more: Any) -> Path:
+def write_rgbd(folder: Path, shots: Sequence[Shot], *, masks: bool = True, **more: Any) -> Path:
     """A recording in the layout of `rgbd`, without poses unless `more` has them."""
     for number, shot in enumerate(shots):
         save(folder / "rgb" / f"{number}.png", shot.rgb)
-        save(folder / "depth" / f"{number}.png", units(shot.depth, scale))
+        save(folder / "depth" / f"{number}.png", units(shot.depth, 1e-4))
         if masks:
             save(folder / "masks" / f"{number}.png", shot.ids)
-    write_json(folder / "camera.json", camera_json(shots[0], scale, **more))
+    write_json(folder / "camera.json", camera_json(shots[0], **more))
     return folder
 
 
@@ -136,7 +136,7 @@ def write_obsurf(folder: Path, *, multishapenet: bool = False, scenes: Sequence[
     return folder
 
 
-def write_bop(folder: Path, *, poses: bool = True) -> Path:
+def write_bop(folder: Path) -> Path:
     """One scene of BOP."""
     cameras, truth = {}, {}
     for number, position in enumerate(CAMERAS):
@@ -146,13 +146,13 @@ def write_bop(folder: Path, *, poses: bool = True) -> Path:
         for row in range(2):
             save(folder / "mask_visib" / f"{number:06d}_{row:06d}.png", 255 * (shot.ids == row + 1).astype(np.uint8))
         k = shot.k - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-        cameras[str(number)] = {"cam_K": k.ravel().tolist(), "depth_scale": 0.1}
-        if poses:
-            camera_from_world = invert_rigid(shot.pose)
-            cameras[str(number)] |= {
-                "cam_R_w2c": camera_from_world[:3, :3].ravel().tolist(),
-                "cam_t_w2c": (1000 * camera_from_world[:3, 3]).tolist(),
-            }
+        camera_from_world = invert_rigid(shot.pose)
+        cameras[str(number)] = {
+            "cam_K": k.ravel().tolist(),
+            "cam_R_w2c": camera_from_world[:3, :3].ravel().tolist(),
+            "cam_t_w2c": (1000 * camera_from_world[:3, 3]).tolist(),
+            "depth_scale": 0.1,
+        }
         truth[str(number)] = [{"obj_id": 2}, {"obj_id": 7}]
     write_json(folder / "scene_camera.json", cameras)
     write_json(folder / "scene_gt.json", truth)
@@ -174,17 +174,15 @@ def write_octscenes(folder: Path) -> Path:
     return folder
 
 
-def authors_frame(shot: Shot, *, points: bool = True) -> dict[str, Any]:
+def authors_frame(shot: Shot) -> dict[str, Any]:
     """A frame as the paper's authors store it."""
-    frame = {
+    return {
         "rgb": shot.rgb / 255,
         "depth": shot.depth,
         "mask_bin": shot.ids[..., None] == np.arange(3),
         "obj_list": [{"name": "mug"}, {"name": "bowl"}],
+        "pcd": (rays(shot.k) * shot.depth[..., None]) @ shot.pose[:3, :3].T + shot.pose[:3, 3],
     }
-    if points:
-        frame["pcd"] = (rays(shot.k) * shot.depth[..., None]) @ shot.pose[:3, :3].T + shot.pose[:3, 3]
-    return frame
 
 
 def authors_camera(shot: Shot) -> dict[str, np.ndarray]:
@@ -193,12 +191,12 @@ def authors_camera(shot: Shot) -> dict[str, np.ndarray]:
     return {"camera_intrinsics": k, "camera_extrinsics": shot.pose @ np.diag([-1.0, -1, 1, 1])}
 
 
-def write_authors(folder: Path, *, frames: int = 3) -> Path:
-    """Two training clips and a test clip of the paper's authors."""
+def write_authors(folder: Path) -> Path:
+    """Two training clips and a test clip of three frames, as the paper's authors store them."""
     shot = shoot()
     for place in ("train/0", "train/1", "test/0"):
         path = folder / f"{place}.npy"
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.save(path, np.array([authors_frame(shot) for _ in range(frames)], object), allow_pickle=True)
+        np.save(path, np.array([authors_frame(shot) for _ in range(3)], object), allow_pickle=True)
     np.save(folder / "camera_info.npy", np.array(authors_camera(shot), object), allow_pickle=True)
     return folder

@@ -34,13 +34,13 @@ def balls(paths: np.ndarray, size: int = 64) -> tuple[Clip, np.ndarray]:
     return Clip(rgb, depth, depth > 0, k[None], pose[None]), truth
 
 
-def with_holes(clip: Clip, share: float, seed: int = 0) -> Clip:
-    valid = np.random.default_rng(seed).random(clip.depth.shape) >= share
+def with_holes(clip: Clip, share: float) -> Clip:
+    valid = np.random.default_rng(0).random(clip.depth.shape) >= share
     return dataclasses.replace(clip, depth=np.where(valid, clip.depth, 0).astype(np.float32), valid=valid)
 
 
-def with_noise(clip: Clip, sigma: float = 0.002) -> Clip:
-    noise = np.random.default_rng(0).normal(0, sigma, clip.depth.shape)
+def with_noise(clip: Clip) -> Clip:
+    noise = np.random.default_rng(0).normal(0, 0.002, clip.depth.shape)
     return dataclasses.replace(clip, depth=(clip.depth + noise).astype(np.float32))
 
 

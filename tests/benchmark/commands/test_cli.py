@@ -124,6 +124,13 @@ def test_a_failure_is_a_row_with_its_reason_and_made_again_when_asked(data: Path
     assert "good" not in shown
 
 
+def test_a_run_that_serves_all_seeds_is_made_again_for_all(data: Path, copy: Path):
+    command = ("--model", "raises", "--data", data, "--out", copy)
+    assert run_cli(*command, "--seeds", 2) == EXIT_INCOMPLETE
+    assert run_cli(*command, "--seeds", 1, "--retry") == EXIT_INCOMPLETE
+    assert [row.key.seed for row in load_runs(copy) if row.key.model == "raises"] == [0]
+
+
 FAILURES = {
     "raises": "ValueError: no idea",
     "raises-in-fit": "OSError: no weights",
@@ -140,7 +147,7 @@ FAILURES = {
 
 
 @pytest.mark.slow
-def test_every_failure_is_a_row_with_its_reason_and_the_rest_goes_on(data: Path, tmp_path: Path, capsys):
+def test_every_failure_is_a_row_with_its_reason_and_the_rest_goes_on(data: Path, tmp_path: Path):
     models = [*FAILURES, "good"]
     command = ("--model", *models, "--data", data, "--out", tmp_path, "--seeds", 1)
     assert run_cli(*command) == EXIT_INCOMPLETE

@@ -1,6 +1,7 @@
 """Datasets that cannot be scored on are refused before anything runs."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,8 @@ import pytest
 
 from assets import CHECKPOINTS
 from benchmark.commands.arguments import Run
-from benchmark.commands.request import request_of
+from benchmark.commands.request import job_limits, request_of
+from benchmark.execution.executor import Limits
 from benchmark.models.registry import GROUPS
 from datagen import config
 from datagen.errors import UsageError
@@ -107,16 +109,23 @@ def test_weights_whose_objects_have_no_poses_are_refused_for_editing(tmp_path: P
         ({"steps": 0}, "--steps is 0"),
         ({"steps": 10**100}, "--steps is 1000"),
         ({"seeds": 1001}, "--seeds is 1001; expected 1 to 1000."),
-        ({"background_slot": -1}, "--background-slot is for --predictions"),
         ({"budget": 0.0}, "--budget is 0; expected 0.001 to 2678400."),
         ({"budget": float("nan")}, "--budget is nan; expected"),
         ({"time_limit": float("-inf")}, "--time-limit is -inf; expected"),
         ({"memory_limit": 1e30}, "expected 1 to 1073741824"),
     ],
 )
-def test_numbers_that_cannot_be_are_refused(facts: dict[str, Any], reason: str):
+def test_flags_that_cannot_be_are_refused(facts: dict[str, Any], reason: str):
     with pytest.raises(UsageError, match=reason):
         request_of(Run(model=("obpose",), **facts))
+
+
+def test_limits_of_jobs_follow_the_flags():
+    """--time-limit is in minutes."""
+    given = Run(time_limit=5.0, memory_limit=700.0, deterministic=True)
+    assert job_limits(given, 999.0) == Limits(300.0, 700.0, 1)
+    assert job_limits(Run(), 999.0).seconds == 999.0
+    assert job_limits(Run(dask="tcp://127.0.0.1:1"), 999.0) == Limits(999.0, math.inf, 1)
 
 
 def test_a_dataset_without_test_scenes_is_refused(tmp_path: Path):

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.execution.jobs import Job, Target
+from benchmark.execution.executor import Limits
+from benchmark.execution.jobs import Job, Target, run_all
 from benchmark.models import registry
 from benchmark.models.contract import BadPrediction
 from benchmark.models.interface import Clip, Prediction
@@ -18,6 +19,7 @@ from benchmark.results.run_folder import LABELS, RunKey, load_runs, load_scenes
 from datagen.errors import UsageError
 from datagen.storage import reader
 from datagen.storage.reader import Dataset
+from tests.processes import in_this_process
 from tests.worlds.imported import import_balls
 from tests.worlds.traced import write_dataset
 
@@ -113,15 +115,21 @@ def test_the_largest_slot_stands_in_for_an_undeclared_background(data: Path, tmp
 def test_clips_carry_labels_for_those_only_who_say_so(
     data: Path, tmp_path: Path, register, uses_labels: bool, kind: str
 ):
-    seen = []
+    seen: dict[str, list[bool]] = {"train": [], "val": [], "test": []}
 
     def answer(clip: Clip) -> Prediction:
-        seen.append(clip.truth is not None)
+        seen["test"].append(clip.truth is not None)
         return background(clip)
 
-    register(answer, uses_labels=uses_labels, kind=kind)
+    def fit(train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
+        for split, clips in (("train", train), ("val", val)):
+            seen[split] += [clip.truth is not None for clip in clips]
+
+    register(answer, uses_labels=uses_labels, kind=kind).fit = fit
     job(data, tmp_path / "out").run()
-    assert seen == [uses_labels] * 2
+    assert seen == {"train": [uses_labels] * (2 if kind == "learned" else 0)} | dict.fromkeys(
+        ("val", "test"), [uses_labels] * 2
+    )
     assert load_runs(tmp_path / "out")[0].uses_labels is uses_labels
 
 
@@ -266,6 +274,17 @@ def test_a_further_segmentation_that_is_missing_or_wrong_is_named(
     register(lambda clip: Prediction(background(clip).labels, 0, extra), extra=("att",))
     with pytest.raises(BadPrediction, match=message):
         with_extra(job(data, tmp_path / "out")).run()
+
+
+def test_a_failure_is_a_row_of_every_segmentation(data: Path, tmp_path: Path, register):
+    register(background, extra=("att",))
+    heard = []
+    with in_this_process():
+        run_all([with_extra(job(data, tmp_path / "out"))], lambda _: Limits(60.0, 4000.0), 1, heard.append)
+    assert [(row.key.model, row.status) for row in heard] == [("scripted", "failed")]
+    rows = load_runs(tmp_path / "out")
+    assert [(row.key.model, row.status) for row in rows] == [("scripted", "failed"), ("scripted-att", "failed")]
+    assert all("no 'att' in `extra`" in row.reason for row in rows)
 
 
 def test_a_folder_is_offered_for_the_fit_that_counts_and_kept_out_of_the_row(data: Path, tmp_path: Path, register):

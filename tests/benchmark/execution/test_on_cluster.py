@@ -63,6 +63,7 @@ def test_changed_files_are_copied_while_a_job_runs(tmp_path: Path):
 
     with on_cluster._copying(tmp_path, [tmp_path / "training"], Kept(), every_seconds=0.01):
         (tmp_path / "training").mkdir()
-        (tmp_path / "training" / "model").write_bytes(b"weights")
+        (tmp_path / "training" / ".model").write_bytes(b"weights")
+        (tmp_path / "training" / ".model").rename(tmp_path / "training" / "model")
         assert copied.wait(10)
     assert copies == [{"training/model": b"weights"}]

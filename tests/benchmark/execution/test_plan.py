@@ -221,7 +221,7 @@ def test_models_that_learn_nothing_run_beside_them_as_ever():
     assert plan("plane-dbscan", fit_source=MIXED).jobs == tuple(job for job in made.jobs if job.model != "obpose")
 
 
-def test_a_wanted_row_is_the_same_whoever_asks(register):
+def test_keys_are_sorted_and_those_of_further_segmentations_differ_in_the_name_alone(register):
     register(extra=("att",))
     keys = plan().keys
     assert keys == tuple(sorted(keys))

@@ -12,7 +12,7 @@ from sklearn.metrics import adjusted_mutual_info_score
 from benchmark.metrics import OTHER_METRICS, count_clip, other_scores, score
 from benchmark.metrics.boundaries import boundary_overlap
 
-few = settings(deadline=None, derandomize=True, max_examples=15)
+few = settings(max_examples=15)
 SHAPE = (3, 5, 6)
 truths = hnp.arrays(np.uint8, SHAPE, elements=st.integers(0, 3))
 predictions = hnp.arrays(np.int64, SHAPE, elements=st.integers(0, 9))

@@ -3,15 +3,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from sklearn.metrics import adjusted_rand_score
 
 from benchmark.metrics import CLIP_METRICS, METRICS, clip_scores, score
-
-settings.register_profile("metrics", deadline=None, derandomize=True, max_examples=50)
-settings.load_profile("metrics")
 
 SHAPE = (2, 5, 6)
 truths = hnp.arrays(np.uint8, SHAPE, elements=st.integers(0, 3))

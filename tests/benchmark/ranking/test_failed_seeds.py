@@ -14,6 +14,7 @@ from tests.chosen_scores import run_row
         (0.50, 0.80, 0.15, ""),
         (0.95, 0.19, 0.15, "collapse"),
         (0.95, 0.05, 0.15, "collapse"),
+        (0.95, 0.20, 0.15, "collapse"),
         (0.95, 0.21, 0.15, ""),
         (0.10, 0.05, 0.15, "swap"),
         (0.95, 0.05, math.nan, ""),

@@ -66,10 +66,6 @@ def test_means_are_over_seeds_and_failures_are_told(folder: Path):
     assert float(row["best_floor"]) == pytest.approx(np.mean(floors), abs=1e-6)
 
 
-def test_no_figure_is_minus_zero():
-    assert leaderboard.to_csv([{"x": -1e-9}, {"x": -1e-6}]) == "x\n0.000000\n-0.000001\n"
-
-
 def test_seeds_and_scenes_have_lines_of_their_own(folder: Path):
     leaderboard.write(folder)
     seeds, scenes = read(folder / "per_seed.csv"), read(folder / "per_scene.csv")
@@ -102,7 +98,7 @@ def test_an_empty_folder_gives_empty_tables(tmp_path: Path):
     assert (tmp_path / "per_scene.csv").read_text() == "\n"
 
 
-def test_only_measured_columns_depend_on_the_clock(folder: Path, tmp_path: Path):
+def test_only_measured_columns_depend_on_the_clock(folder: Path):
     """Rows that differ in their costs differ in no other column."""
     leaderboard.write(folder)
     before = {name: read(folder / name) for name in leaderboard.FILES if name.endswith(".csv")}
@@ -230,7 +226,7 @@ def test_hostile_names_break_no_table():
     text = latex(hostile_results())
     assert "alert(1)" in text
     assert not re.search(r"\\\\\s*\n\s*\[", text)
-    assert all("alert" not in line or line.startswith(("%", "        ", "    ")) for line in text.splitlines())
+    assert all("alert" not in line or line.startswith(("%", "    ")) for line in text.splitlines())
     assert page.encode() + text.encode()
     assert "\u202e" not in page + text
 

@@ -182,6 +182,12 @@ def test_models_share_a_letter_unless_they_differ_at_five_percent(errors: float,
     assert (results["one"].group_letters, results["two"].group_letters) == ((expected[0],) * 2, (expected[1],) * 2)
 
 
+def test_each_ranked_metric_has_letters_of_its_own():
+    tables = [scene_table({"ari_fg": np.full(N, 0.5), "msc_fg": np.full(N, score)}) for score in (0.9, 0.8)]
+    one, two = standings([run_row(name, n_scenes=N) for name in ("one", "two")], tables)
+    assert (one.group_letters, two.group_letters) == (("a", "a"), ("a", "b"))
+
+
 def test_there_are_letters_for_any_number_of_groups():
     values = np.random.default_rng(3).permutation(28) / 28
     letters = letters_of_groups(~np.eye(28, dtype=bool), values)

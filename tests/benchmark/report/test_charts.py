@@ -8,6 +8,7 @@ from benchmark.report.charts import (
     BOTTOM,
     HEIGHT,
     LEFT,
+    RIGHT,
     TOP,
     WIDTH,
     class_chart,
@@ -38,10 +39,9 @@ def test_an_undefined_class_breaks_the_curve() -> None:
 def test_learning_curves_fit_their_axes() -> None:
     chart = history_chart("loss", "step", [(0, [0.0, 10.0], [4.0, 2.0]), (1, [0.0, 20.0], [3.0, math.nan])])
     points = [(x, y) for curve in chart.curves for x, y, _ in curve.points]
-    assert min(x for x, _ in points) == LEFT
-    assert max(x for x, _ in points) <= WIDTH
+    middle = LEFT + (WIDTH - LEFT - RIGHT) / 2, TOP + (HEIGHT - TOP - BOTTOM) / 2
+    assert points == [(LEFT, TOP), (middle[0], HEIGHT - BOTTOM), (LEFT, middle[1])]
     assert [tick.text for tick in chart.x_ticks] == ["0", "10", "20"]
-    assert {y for _, y in points} >= {TOP, HEIGHT - BOTTOM}
 
 
 def test_a_flat_learning_curve_can_be_drawn() -> None:

@@ -6,17 +6,7 @@ import io
 import numpy as np
 from PIL import Image
 
-from benchmark.report.pictures import (
-    EDGES,
-    GAP,
-    RECONSTRUCTION_SIDE,
-    box_corners,
-    boxes_picture,
-    label_picture,
-    photograph,
-    slot_colors,
-    subsampled,
-)
+from benchmark.report.pictures import EDGES, GAP, box_corners, boxes_picture, label_picture, photograph, slot_colors
 from datagen.inspect.preview import label_colors
 
 
@@ -28,11 +18,6 @@ def test_label_maps_are_exact_to_the_pixel() -> None:
     assert np.array_equal(pixels[:, :5, :3], colors[labels[0]])
     assert np.array_equal(pixels[:, 5 + GAP :, :3], colors[labels[1]])
     assert not pixels[:, 5 : 5 + GAP, 3].any()
-
-
-def test_large_images_are_thinned_out() -> None:
-    assert max(subsampled(np.zeros((300, 200, 3), np.uint8)).shape[:2]) <= RECONSTRUCTION_SIDE
-    assert subsampled(np.zeros((64, 64))).shape == (64, 64)
 
 
 def test_photographs_stay_close_to_the_image() -> None:

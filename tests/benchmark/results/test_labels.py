@@ -45,10 +45,6 @@ def refer(kind: type, *where: str) -> Callable[[h5py.File], object]:
     return change
 
 
-def set_data(value: object) -> Callable[[h5py.File], object]:
-    return lambda file: file.attrs.__setitem__("data", value)
-
-
 SHAPE = (2, 2, 2, 48, 64)
 
 
@@ -91,7 +87,7 @@ def test_damage_is_named(path: Path, change: Callable[[h5py.File], object], reas
 @pytest.mark.parametrize("value", [3, [1, 2], np.array(["a", "b"], dtype=object), b"\xff", 0.5])
 def test_a_place_that_is_no_text_is_damage(path: Path, value: object):
     with h5py.File(path, "a") as file:
-        set_data(value)(file)
+        file.attrs["data"] = value
     with pytest.raises(CorruptFile, match=r"maps\.h5"):
         dataset_of(path)
 

@@ -9,6 +9,7 @@ import pytest
 from benchmark.metrics import clip_scores
 from benchmark.results.run_folder import (
     COUNTS,
+    LABELS,
     Measured,
     RunKey,
     RunRow,
@@ -250,5 +251,7 @@ def test_an_image_has_no_video_scores_and_is_not_undefined_for_that():
 def test_deleted_rows_leave_nothing(tmp_path: Path):
     save_row(tmp_path, ROW)
     save_scenes(tmp_path, KEY.name, lines())
+    (tmp_path / LABELS).mkdir()
+    (tmp_path / LABELS / f"{KEY.name}.h5").write_bytes(b"")
     delete_rows(tmp_path, [ROW])
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

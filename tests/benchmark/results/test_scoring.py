@@ -5,9 +5,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmark.clips import ClipSequence, read_true_poses
 from benchmark.execution.jobs import segment_split
+from benchmark.metrics.box_overlap import box_corners
 from benchmark.metrics.poses import POSE_METRICS
 from benchmark.models.classical.boxes import OracleVisibleBoxes, OracleVisibleMeans
 from benchmark.models.interface import Clip, Poses, Prediction
@@ -29,7 +31,9 @@ def run(tmp_path: Path) -> Path:
 
 
 def test_scores_come_out_as_before_and_progress_is_shown(run: Path, tmp_path: Path):
-    before = {path.name: path.read_bytes() for path in (run / "scenes").iterdir()}
+    before = {path: path.read_bytes() for path in (run / "scenes").iterdir()}
+    for path in before:
+        path.write_text("spoiled")
     heard: list[str] = []
 
     def progress(items, title: str):
@@ -37,7 +41,7 @@ def test_scores_come_out_as_before_and_progress_is_shown(run: Path, tmp_path: Pa
         return items
 
     assert rescore(run, load_runs(run), [tmp_path / "moving", tmp_path / "static"], progress=progress) == 4
-    assert {path.name: path.read_bytes() for path in (run / "scenes").iterdir()} == before
+    assert {path: path.read_bytes() for path in (run / "scenes").iterdir()} == before
     assert heard == ["scoring rows 4"]
 
 
@@ -61,6 +65,20 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def scenes(data: Path) -> Split:
     return Dataset(data).split("train")
+
+
+def test_true_poses_are_those_of_the_scene(scenes: Split):
+    """Objects slide and turn as `rendered.trajectory` has them; the first is a box of 12 x 8 x 6 cm."""
+    clip = ClipSequence(scenes, uses_labels=True)[0]
+    assert clip.truth is not None
+    true = read_true_poses(scenes, 0, clip, clip.truth)
+    for frame in range(3):
+        places = np.array([place for _, place in rendered.STANDING]) + np.array([0.004 * frame, 0.0, 0.0])
+        np.testing.assert_allclose(true.box_center[frame], places, atol=1e-4)
+        turned = Rotation.from_rotvec([0, 0, 0.3 + 0.2 * frame]).as_matrix()
+        np.testing.assert_allclose(true.rotation[frame], [turned] * 3, atol=1e-6)
+        in_object_frame = box_corners(true.box(frame, 0)) @ turned
+        np.testing.assert_allclose(np.ptp(in_object_frame, axis=0), [0.12, 0.08, 0.06], atol=1e-4)
 
 
 def true_prediction(scenes: Split, clip: Clip) -> Prediction:

@@ -18,7 +18,6 @@ from benchmark.studies.views import (
     View,
     carry_points,
     compare,
-    evenly_spaced,
     flatten_masks,
     mean_pictures,
     measure_views,
@@ -121,11 +120,6 @@ def test_flat_masks_keep_means_and_lose_all_else(views: list[View]):
         assert plain.depth[mask].mean() == pytest.approx(truth.depth[mask].mean())
         assert np.ptp(plain.rgb[mask], axis=0).max() == np.ptp(plain.depth[mask]) == 0
     assert np.ptp(truth.depth[masks[1]]) > 0
-
-
-def test_indices_are_spread():
-    assert evenly_spaced(10, 3) == [1, 5, 8]
-    assert evenly_spaced(2, 3) == [0, 1]
 
 
 def test_intervals_are_over_scenes_and_not_over_their_pictures(views: list[View]):

@@ -1,6 +1,7 @@
 import contextlib
 import importlib.util
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 from PIL import Image
 
 from datagen.errors import UsageError
-from datagen.inspect import preview
+from datagen.inspect import preview, signal_pictures
+from datagen.schema import SIGNALS
 from datagen.storage import spec
 from datagen.storage.shard import pack
 from tests.worlds import rendered
@@ -28,8 +30,20 @@ def test_the_sheet_shows_the_pixels_of_first_middle_and_last_frame(tiny_dataset:
 
 
 def contains(picture: np.ndarray, part: np.ndarray) -> bool:
-    starts = np.argwhere(np.all(picture[: -part.shape[0], : -part.shape[1]] == part[0, 0], axis=-1))
-    return any(np.array_equal(picture[y : y + part.shape[0], x : x + part.shape[1]], part) for y, x in starts)
+    return any(True for _ in places_of(picture, part))
+
+
+def places_of(picture: np.ndarray, part: np.ndarray) -> Iterator[tuple[int, int]]:
+    """Rows and columns of the places where a picture shows a part."""
+    height, width = part.shape[:2]
+    rows, columns = picture.shape[0] - height + 1, picture.shape[1] - width + 1
+    # A few pixels rule out most places.
+    fits = np.ones((rows, columns), bool)
+    for y, x in zip(np.linspace(0, height - 1, 12, dtype=int), np.linspace(0, width - 1, 12, dtype=int), strict=True):
+        fits &= np.all(picture[y : y + rows, x : x + columns] == part[y, x], axis=-1)
+    for y, x in np.argwhere(fits).tolist():
+        if np.array_equal(picture[y : y + height, x : x + width], part):
+            yield y, x
 
 
 def test_views_stand_side_by_side_and_stills_have_no_animation(tmp_path: Path):
@@ -42,6 +56,33 @@ def test_views_stand_side_by_side_and_stills_have_no_animation(tmp_path: Path):
         assert contains(picture, record["rgb"][0, view])
         assert contains(picture, preview.colored_labels(record["segmentation"][0, view]))
     assert picture.shape[0] > 4 * 120
+
+
+def test_signals_are_shown_below_the_images(tmp_path: Path):
+    record = rendered.record(rendered.scene(frames=2), resolution=(160, 120), signals=SIGNALS)
+    folder = rendered.write_dataset(tmp_path / "signals", [record])
+    facts = spec.with_splits({**spec.read_spec(folder), "with": [*SIGNALS]}, {"train": 1})
+    (folder / spec.SPEC_FILE).write_text(spec.spec_text(facts))
+    rendered.write_shard(folder, facts, "train", 0, [pack(record)])
+    picture = np.asarray(Image.open(preview.run(folder, out=tmp_path / "sheet.png")[0]))
+    for frame in range(2):
+        assert contains(picture, signal_pictures.colored_normals(record["normals"][frame, 0]))
+        assert contains(picture, signal_pictures.colored_coordinates(record["object_coordinates"][frame, 0]))
+        assert contains(picture, signal_pictures.tracks_picture(record, frame, 0))
+        for direction in ("forward", "backward"):
+            assert contains(picture, signal_pictures.flow_picture(record, direction, frame, 0))
+
+
+def test_colours_of_signals_tell_directions():
+    right, left, still = signal_pictures.colored_flow(np.array([[[9.0, 0.0], [-9.0, 0.0], [0.0, 0.0]]]), 9.0)[0]
+    assert right.tolist() == [255, 0, 0]
+    assert left[0] == 0
+    assert still.tolist() == [255, 255, 255]
+    # Camera axes: x right, y down, z away from the camera.
+    normals = np.array([[[32767, 0, 0], [0, -32767, 0], [0, 0, -32767], [0, 0, 0]]], np.int16)
+    assert signal_pictures.colored_normals(normals)[0].tolist() == [
+        [255, 127, 127], [127, 255, 127], [127, 127, 255], [0, 0, 0],
+    ]  # fmt: skip
 
 
 def test_only_the_files_that_are_named_are_written(tmp_path: Path):
@@ -123,18 +164,11 @@ def test_depth_in_a_gif_has_no_bands_and_ids_keep_their_colours(tmp_path: Path):
     rows = preview._rows(records["scene"], preview._depth_span(records))
     wanted = {name: preview._enlarged(rows[name](0, 0)) for name in ("depth", "ids")}
     for name, image in wanted.items():
-        y, x = place_of(frame, image)
+        y, x = next(places_of(frame, image))
         found = stored[y : y + image.shape[0], x : x + image.shape[1]]
         assert np.percentile(np.abs(found - image), 99) <= 8, name
-    y, x = place_of(frame, wanted["depth"])
+    y, x = next(places_of(frame, wanted["depth"]))
     assert len(np.unique(stored[y : y + wanted["depth"].shape[0], x + 90], axis=0)) > 50
-
-
-def place_of(picture: np.ndarray, part: np.ndarray) -> tuple[int, int]:
-    windows = np.argwhere(np.all(picture == part[0, 0], axis=-1))
-    return next(
-        (y, x) for y, x in windows if np.array_equal(picture[y : y + part.shape[0], x : x + part.shape[1]], part)
-    )
 
 
 @pytest.mark.parametrize(("number", "lines"), [(1, 1), (4, 2), (5, 2), (6, 2), (7, 3)])

@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from datagen.errors import UsageError
 from datagen.meshes.library import split_meshes
 from datagen.meshes.survey import Reading, examine, find_files, fits, make_library, name_files
-from datagen.meshes.units import guess_unit
+from datagen.meshes.units import Up, guess_unit, guess_up, rotation_to_z
 from tests.worlds.meshes import BOX, triangles, write_obj, write_ply, write_stl
 
 
@@ -41,6 +42,19 @@ def test_names_fit_with_and_without_prefixes():
 def test_the_unit_is_guessed_or_doubted(suffix: str, longest: float, unit: str, certain: bool):
     guess = guess_unit(suffix, longest)
     assert (guess.unit, guess.certain) == (unit, certain)
+
+
+@pytest.mark.parametrize(("up", "axis"), [("x", 0), ("y", 1), ("z", 2)])
+def test_the_upward_axis_becomes_z(up: Up, axis: int):
+    rotation = rotation_to_z(up)
+    np.testing.assert_array_equal(rotation[:, axis], [0, 0, 1])
+    np.testing.assert_array_equal(rotation @ rotation.T, np.eye(3))
+    assert np.linalg.det(rotation) == 1
+
+
+@pytest.mark.parametrize(("suffix", "up"), [(".glb", "y"), (".obj", "z"), (".ply", "z"), (".stl", "z")])
+def test_y_is_up_in_gltf_and_z_in_other_files(suffix: str, up: str):
+    assert guess_up(suffix) == up
 
 
 def test_unit_up_and_scale_decide_the_size(tmp_path: Path):

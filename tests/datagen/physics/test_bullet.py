@@ -9,7 +9,7 @@ import pytest
 
 from datagen.config import Physics
 from datagen.geometry import rotation_from_quaternion
-from datagen.physics.bullet import GAP_RANGE, World
+from datagen.physics.bullet import World
 from datagen.scene import Body, Material, Push, Scene, ShapeSpec, Table, Trajectory
 from datagen.shapes import build
 from tests.paths import ROOT
@@ -124,10 +124,6 @@ def test_the_gap_to_the_table_is_that_of_the_true_surface(category: str):
     lowest = -float(np.min(build(spec).vertices[:, 2]))
     start = run(body((0, 0, lowest + 0.005), spec), frames=1)
     assert start.contact_gap[0, 0, 1] == pytest.approx(0.005, abs=1e-3)
-
-
-def test_gaps_end_where_the_format_says():
-    assert GAP_RANGE == 0.02
 
 
 def test_a_resting_box_presses_on_the_table_with_its_weight():

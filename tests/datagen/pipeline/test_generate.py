@@ -367,10 +367,9 @@ def test_the_object_axis_holds_the_largest_scene_of_any_part():
     assert object_rows(recipe(name="mixed", parts=("moving", "cluttered"))) == 8
 
 
-def test_an_impossible_scene_is_one_error(tmp_path):
-    hopeless = dataclasses.replace(recipe(attempts=1), least_visible_pixels=10_000)
+def test_an_impossible_scene_is_one_error_of_several_workers_too(tmp_path):
     with pytest.raises(UsageError, match="1 attempts"):
-        generate(tmp_path, hopeless, splits={"train": 4}, run=Run(workers=2))
+        generate(tmp_path, impossible(), splits={"train": 4}, run=Run(workers=2))
     assert shards(tmp_path) == {}
 
 
@@ -401,7 +400,7 @@ def test_memory_stays_flat_over_many_scenes(tmp_path):
     assert int(result.stdout.split()[-1]) < 4 * 2**20
 
 
-def test_the_specs_json_is_what_the_docs_say(whole):
+def test_the_spec_is_plain_json_with_the_settings(whole):
     spec = json.loads((whole / "dataset.json").read_text())
     assert spec["recipe"]["name"] == "moving"
     assert (spec["resolution"], spec["seed"], spec["scenes_per_shard"]) == ([32, 32], 0, 2)

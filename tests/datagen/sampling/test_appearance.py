@@ -10,9 +10,9 @@ from datagen.sampling.appearance import hex_color, sample_materials, sample_tabl
 SIZES = [0.1, 0.05, 0.08]
 
 
-def materials(appearance: Appearance, count: int = 40):
+def materials(appearance: Appearance):
     rng = np.random.default_rng(0)
-    return [sample_materials(appearance, SIZES, rng) for _ in range(count)]
+    return [sample_materials(appearance, SIZES, rng) for _ in range(40)]
 
 
 def hue(color: tuple[float, float, float]) -> float:

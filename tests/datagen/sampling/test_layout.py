@@ -53,12 +53,6 @@ def test_what_fits_in_hangs_over_its_container():
         below = spot
 
 
-def test_a_full_table_is_given_up():
-    small = dataclasses.replace(LAYOUT, half_extent=(0.02, 0.02))
-    with pytest.raises(Rejected, match="crowded"):
-        layouts.scatter(items(3), ["rest"] * 3, small, MOTION, np.random.default_rng(0))
-
-
 @pytest.mark.parametrize(("kinds", "fitting"), [(["rest"] * 3, 1), (["rest", "drop", "rest", "throw"], 3)])
 def test_a_full_table_says_how_many_objects_had_a_place(kinds: list, fitting: int):
     small = dataclasses.replace(LAYOUT, half_extent=(0.02, 0.02))

@@ -31,7 +31,9 @@ def test_a_cone_stands_on_its_base_only():
 
 @pytest.mark.parametrize("category", ["mug", "bracket", "gear", "hammer", "bottle"])
 def test_stances_are_rotations_and_rest_on_their_base(category: str):
-    for stance in poses.steady_stances(shape(category)):
+    stances = poses.steady_stances(shape(category))
+    assert stances
+    for stance in stances:
         np.testing.assert_allclose(stance.rotation @ stance.rotation.T, np.eye(3), atol=1e-9)
         assert np.linalg.det(stance.rotation) == pytest.approx(1)
         assert stance.bottom < 0 < stance.top

@@ -54,7 +54,7 @@ def test_a_container_replaces_an_object():
         assert recipe.objects.minimum <= len(bodies) <= recipe.objects.maximum
 
 
-def test_touching_scenes_hold_a_group_in_contact():
+def test_touching_scenes_hold_a_group_of_one_friction_and_velocity():
     for seed in range(10):
         made = scene("touching", seed=seed)
         together = [body for body in made.bodies if body.friction == made.bodies[0].friction]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from datagen.errors import Busy, DatagenError, UsageError
 from datagen.storage.atomic import (
     check_new_folder,
     is_running,
@@ -22,7 +23,6 @@ from datagen.storage.atomic import (
     temporary_path,
     write_atomically,
 )
-from obpose.errors import Busy, DatagenError, UsageError
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path: Path):

@@ -91,6 +91,14 @@ def test_damaged_files_are_findings(plain: Path):
     assert {finding.check for finding in find(plain) if finding.split} == {"file"}
 
 
+def test_a_sample_is_drawn_from_all_splits(tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = Path(shutil.copytree(tiny_dataset, tmp_path / "copy"))
+    assert verify.run(folder, sample=3) == EXIT_OK
+    assert "3 of 8 scenes verified" in capsys.readouterr().out
+    change_scene(folder, "test", 1, lift_depth)
+    assert {(finding.split, finding.scene) for finding in find(folder, sample=100)} == {("test", 1)}
+
+
 def test_a_scene_that_is_there_twice_is_found(plain: Path):
     other = Dataset(plain).split("train")[0]
     change_scene(plain, "train", 1, lambda record: record.update(other))
@@ -174,7 +182,7 @@ def test_workers_do_not_outlive_a_verification_that_is_killed(plain: Path):
 
 
 def test_a_folder_without_dataset_is_the_user_s_error(tmp_path: Path):
-    with pytest.raises(UsageError):
+    with pytest.raises(UsageError, match="holds no dataset"):
         verify.run(tmp_path)
 
 

@@ -96,4 +96,5 @@ def test_a_step_learns_and_masks_cover_what_stands_on_the_table():
     found = model.segment(scene)
     standing = model.standing(model.images(scene)).reshape(found.labels.shape)
     assert torch.equal(found.attention > 0, standing)
+    assert torch.equal(found.labels > 0, standing)
     assert found.attention.max() <= model.config.model.slots

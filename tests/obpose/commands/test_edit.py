@@ -1,5 +1,6 @@
 """The whole command, with the weights that ship."""
 
+import math
 import re
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from obpose.scenes.appearance.light import no_light, strength
 from obpose.scenes.bounds import workspace_bounds
 from obpose.scenes.model_ref import load_origin, origin_of
 from obpose.scenes.rendering import Renderer
-from obpose.scenes.scene import ClipName
+from obpose.scenes.scene import ClipName, upright
 from obpose.scenes.storage import load_scene
 
 MODEL = "obpose--moving--64x64"
@@ -37,7 +38,7 @@ def run(command: str, *arguments: object) -> int:
     return main([command, *map(str, arguments)])
 
 
-def test_what_is_inferred_looks_like_the_clip(inferred: Path, tiny_dataset: Path, capsys):
+def test_what_is_inferred_looks_like_the_clip(inferred: Path, tiny_dataset: Path):
     scene = load_scene(inferred)
     assert scene.frames == 4
     assert scene.clip == ClipName(SceneDataset(tiny_dataset).settings_hash, "test", 0)
@@ -182,8 +183,12 @@ def test_edits_are_scenes_again(inferred: Path, tmp_path: Path):
     assert run("remove", tmp_path / "added", *SMALL, "--object", name, "--out", tmp_path / "removed") == EXIT_OK
     assert name not in load_scene(tmp_path / "removed").ids
     assert run("rotate", inferred, *SMALL, "--object", name, "--degrees", 90, "--out", tmp_path / "turned") == EXIT_OK
+    quarter = upright(math.pi / 2, before.rotation)
+    torch.testing.assert_close(load_scene(tmp_path / "turned").rotation[:, 0], quarter @ before.rotation[:, 0])
     pair = ["--objects", name, max(before.ids) + 1]
     assert run("swap", tmp_path / "added", *SMALL, *pair, "--out", tmp_path / "swapped") == EXIT_OK
+    added, swapped = load_scene(tmp_path / "added"), load_scene(tmp_path / "swapped")
+    torch.testing.assert_close(swapped.center[:, [0, -1], :2], added.center[:, [-1, 0], :2])
     other = ["--object", name, "--from", inferred, "--to", "0,0,0.05"]
     assert run("add", tmp_path / "removed", *SMALL, *other, "--out", tmp_path / "put") == EXIT_OK
     torch.testing.assert_close(load_scene(tmp_path / "put").center[0, -1], torch.tensor([0.0, 0.0, 0.05]))

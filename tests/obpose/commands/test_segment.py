@@ -123,7 +123,7 @@ def test_a_wide_object_in_a_later_frame_is_reported(scene: Path, tmp_path: Path,
     assert "Warning: Label 1 is in some frame wider than any object" in capsys.readouterr().out
 
 
-def test_intrinsics_of_another_size_and_a_grid_of_holes_are_reported(scene: Path, tmp_path: Path, capsys):
+def test_intrinsics_of_another_size_and_a_grid_of_holes_are_reported(scene: Path, tmp_path: Path):
     def warnings(name: str, *flags: object, **changes: object) -> object:
         assert run(scene, tmp_path / name, *flags, checkpoint=None, method="one-object", **changes) == EXIT_OK
         return facts_of(tmp_path / name)["warnings"]

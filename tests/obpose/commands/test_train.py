@@ -146,9 +146,7 @@ def test_a_dataset_without_training_scenes_says_so(tmp_path: Path, capsys: pytes
     assert not (tmp_path / "run").exists()
 
 
-def test_a_dataset_without_validation_scenes_is_trained_on(
-    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_a_dataset_without_validation_scenes_is_trained_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     data = write_dataset(tmp_path / "spheres", scenes={"train": 1}, frames=2, size=(24, 16))
     assert (
         main(["--data", str(data), "--variant", "obpose", "--steps", "1", "--out", str(tmp_path / "run"), *SETTINGS])
@@ -171,7 +169,7 @@ def test_values_of_which_nothing_can_be_made_leave_no_run(
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_two_processes_train_the_model_as_one_does_with_the_doubled_batch(tmp_path: Path):
-    """To a tolerance, as each process has noise of its own; exactly where there is none, in test_train.py."""
+    """To a tolerance, as each process has noise of its own; exactly where there is none, in training/test_loop.py."""
     data = write_dataset(tmp_path / "spheres", scenes=4, frames=3, size=(24, 16))
     launcher = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2")
     all_rays = ("--set", "train.rays=0", "--set", "train.warmup=8")

@@ -76,15 +76,3 @@ def test_a_used_port_is_reported(tmp_path: Path, capsys):
 def test_without_viser_it_says_how_to_install_it(tmp_path: Path):
     with pytest.raises(UsageError, match="pip install viser"):
         check(Arguments(tmp_path), has_viser=False)
-
-
-def test_help_does_not_import_torch():
-    code = (
-        "import atexit, sys; from obpose.commands.view import main\n"
-        "atexit.register(lambda: print('torch' in sys.modules))\n"
-        "main(['--help'])"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert result.returncode == 0
-    assert "--host" in result.stdout
-    assert result.stdout.endswith("False\n")

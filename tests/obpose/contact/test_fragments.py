@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from obpose.contact.fragments import MOST_FRAGMENTS, Evidence, fragments_of, gather
 from obpose.contact.grouping import Pairs
@@ -39,8 +40,14 @@ def test_joined_evidence_is_that_of_the_members():
     between = np.ix_([0, 1], [2, 3])
     assert np.isclose(joined.weight[0, 1], weight[between].sum())
     assert np.isclose(joined.attraction[0, 1], np.average(attraction[between] - 1, weights=weight[between]))
-    # Equal weights: average linkage by its definition.
-    pairs = np.stack(np.nonzero(np.triu(np.ones((6, 6)), 1)))
-    found = Evidence(attraction - 2, np.ones((6, 6)) - np.eye(6)).segments(0.0)
-    expected = by_hand(6, pairs, attraction[tuple(pairs)] - 2)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_segments_are_those_of_average_linkage_with_the_weights_of_the_evidence(seed: int):
+    rng = np.random.default_rng(seed)
+    halves = np.triu(rng.uniform(0.1, 3, (6, 6)), 1), np.triu(rng.normal(-0.2, 1, (6, 6)), 1)
+    weight, attraction = (half + half.T for half in halves)
+    found = Evidence(attraction, weight).segments(0.3)
+    pairs = np.stack(np.triu_indices(6, 1))
+    expected = by_hand(6, pairs, attraction[tuple(pairs)] + 0.3, weight[tuple(pairs)])
     assert np.array_equal(found[:, None] == found, expected[:, None] == expected)

@@ -4,7 +4,7 @@ import pytest
 from obpose.contact.linkage import average_linkage
 
 
-def by_hand(count: int, pairs: np.ndarray, attractions: np.ndarray) -> np.ndarray:
+def by_hand(count: int, pairs: np.ndarray, attractions: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Average linkage by its definition: all means between all segments, recomputed after each join."""
     segment = np.arange(count)
     while True:
@@ -14,7 +14,7 @@ def by_hand(count: int, pairs: np.ndarray, attractions: np.ndarray) -> np.ndarra
                 here = segment[pairs]
                 edges = ((here == [[one], [other]]).all(axis=0)) | ((here == [[other], [one]]).all(axis=0))
                 if edges.any():
-                    means[one, other] = attractions[edges].mean()
+                    means[one, other] = np.average(attractions[edges], weights=weights[edges])
         if not means or max(means.values()) <= 0:
             return segment
         one, other = max(means, key=means.__getitem__)
@@ -26,8 +26,10 @@ def test_average_linkage_is_as_defined(seed: int):
     rng = np.random.default_rng(seed)
     pairs = np.array([(i, j) for i in range(9) for j in range(i) if rng.random() < 0.5]).T
     attractions = rng.normal(0.2, 1, pairs.shape[1])
-    found, expected = average_linkage(9, pairs, attractions), by_hand(9, pairs, attractions)
-    assert np.array_equal(found[:, None] == found, expected[:, None] == expected)
+    for weights in (None, rng.uniform(0.1, 3, len(attractions))):
+        found = average_linkage(9, pairs, attractions, weights)
+        expected = by_hand(9, pairs, attractions, np.ones(len(attractions)) if weights is None else weights)
+        assert np.array_equal(found[:, None] == found, expected[:, None] == expected)
 
 
 def test_nodes_without_edges_stay_alone():

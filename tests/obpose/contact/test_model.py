@@ -39,6 +39,14 @@ def test_inputs_do_not_depend_on_the_side_from_which_the_camera_looks(observatio
     torch.testing.assert_close(arranged(other).inputs(), arranged(observation).inputs(), atol=1e-4, rtol=1e-4)
 
 
+def test_inputs_are_measured_from_the_middle_of_the_workspace_and_from_the_table(observation: PastedObservation):
+    shift, unseen = torch.tensor([0.3, -0.2, 0.1]), torch.tensor([0.0, 0.0, 9.0])
+    pose = observation.world_from_camera.clone()
+    pose[..., :3, 3] += shift
+    moved = images_of(replace(observation, world_from_camera=pose), center=shift + unseen, table=0.1)
+    torch.testing.assert_close(moved.inputs(), arranged(observation).inputs(), atol=1e-4, rtol=1e-4)
+
+
 def test_normals_of_the_table_point_upwards(observation: PastedObservation):
     images = arranged(observation)
     flat = (images.labels == 0) & images.valid
@@ -57,10 +65,10 @@ def test_augmentation_mirrors_images_with_their_geometry(observation: PastedObse
     mirrored = [not torch.equal(a, b) for a, b in zip(changed.labels, many.labels, strict=True)]
     assert 2 < sum(mirrored) < 14
     for index, turned in enumerate(mirrored):
-        points = changed.points[index].flip(-1) if turned else changed.points[index]
-        expected = many.points[index].clone()
-        expected[0] *= -1 if turned else 1
-        torch.testing.assert_close(points, expected)
+        for name in ("points", "normals"):
+            found, expected = getattr(changed, name)[index], getattr(many, name)[index].clone()
+            expected[0] *= -1 if turned else 1
+            torch.testing.assert_close(found.flip(-1) if turned else found, expected)
         # Right is where the first coordinate is larger, as before.
         assert changed.points[index, 0, 30, 40] > changed.points[index, 0, 30, 20]
 

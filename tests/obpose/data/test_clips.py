@@ -21,10 +21,11 @@ def test_arrays_become_what_a_model_sees():
     np.testing.assert_array_equal(window["depth"].numpy(), clip.depth[1:3])
     np.testing.assert_array_equal(window["valid"].numpy(), clip.valid[1:3])
     np.testing.assert_allclose(window["world_from_camera"].numpy(), clip.world_from_camera, rtol=1e-6)
+    np.testing.assert_allclose(window["k"].numpy(), clip.k, rtol=1e-6)
     assert window["k"].dtype == window["depth"].dtype == torch.float32
 
 
-def test_a_dataset_and_its_arrays_are_the_same_source(tmp_path: Path):
+def test_windows_of_a_dataset_are_cuts_of_its_clips(tmp_path: Path):
     dataset = SceneDataset(write_dataset(tmp_path / "data", scenes=1, frames=4, size=(12, 8)))
     whole = dataset.window(0, 0, 4)
     window = dataset.window(0, 2, 2)

@@ -103,7 +103,10 @@ def test_nothing_is_changed_in_place():
 
 
 def every_edit(scene: Scene) -> list[Scene]:
+    turn = torch.eye(4)
+    turn[:3, :3] = upright(0.5, scene.center)
     return [
+        edit.carry(scene, 1, turn),
         edit.remove(scene, 1),
         edit.move(scene, 1, BY),
         edit.move_to(scene, 1, BY),

@@ -13,7 +13,6 @@ from tests.obpose.scenes.small_scenes import CAMERA, some_scene
 def test_objects_keep_their_names_and_what_is_not_there_is_named():
     scene = some_scene(objects=2)
     assert [scene.place(name) for name in (1, 2)] == [0, 1]
-    assert scene.new_id() == 3
     with pytest.raises(UsageError, match=r"no object 5\. Its objects are 1, 2\."):
         scene.place(5)
     with pytest.raises(UsageError, match="It has no objects"):

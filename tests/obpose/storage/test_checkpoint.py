@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 
 from obpose.baselines.obsurf.model import Obsurf
 from obpose.errors import CorruptFile, UsageError
@@ -63,8 +63,11 @@ def test_loading_leaves_the_global_generator_alone(run: Path):
 def test_a_training_comes_back_as_it_was(run: Path):
     state = load_training(run, CONFIGURATION)
     assert state is not None
-    assert set(state.optimizer) == {"mean.step", "layers.0.weight.exp_avg"}
-    assert set(state.weights) == set(ToyModel(CONFIGURATION).state_dict())
+    assert state.optimizer.keys() == {"mean.step", "layers.0.weight.exp_avg"}
+    assert state.optimizer["mean.step"] == 3
+    weights = load(run, ToyModel)[0].state_dict()
+    assert state.weights.keys() == weights.keys()
+    assert all(torch.equal(value, weights[name]) for name, value in state.weights.items())
     assert state.info == {"step": 3}
 
 
@@ -80,7 +83,9 @@ def test_another_configuration_is_refused_with_what_differs(run: Path):
 def test_tensors_may_share_memory(tmp_path: Path):
     shared = torch.rand(4)
     save_model(tmp_path, {"mean": shared[:3], "again": shared}, CONFIGURATION, {})
-    assert (tmp_path / MODEL).exists()
+    found = load_file(tmp_path / MODEL)
+    assert torch.equal(found["mean"], shared[:3])
+    assert torch.equal(found["again"], shared)
 
 
 def test_a_folder_without_a_model_is_refused(tmp_path: Path):
@@ -112,12 +117,6 @@ def test_a_file_cut_short_is_reported(run: Path, name: str):
     (run / name).write_bytes(whole[: len(whole) // 2])
     with pytest.raises(CorruptFile, match=f"{name} is damaged"):
         load_training(run, CONFIGURATION) if name == TRAINING else load(run, ToyModel)
-
-
-def test_a_training_that_lacks_a_file_is_reported(run: Path):
-    (run / TRAINING).unlink()
-    with pytest.raises(CorruptFile, match="missing"):
-        load_training(run, CONFIGURATION)
 
 
 @pytest.mark.parametrize("lost", [(CONFIG,), (CONFIG, TRAINING), (CONFIG, MODEL)])
@@ -230,26 +229,20 @@ def test_files_older_than_the_second_architecture_are_of_the_first(run: Path):
             load(run, ToyModel)
 
 
-def test_a_configuration_of_which_no_model_can_be_made_is_refused(run: Path):
-    facts = json.loads((run / CONFIG).read_text())
-    facts["config"]["model"]["slots"] = -5
-    (run / CONFIG).write_text(json.dumps(facts))
-    with pytest.raises(UsageError, match=r"config\.json: .*model\.slots.*-5"):
-        load(run, ToyModel)
-
-
 def test_a_training_that_counted_steps_may_have_had_no_end_in_time(tmp_path: Path):
     config = toy_config(**SAME, **{"train.minutes": math.inf})
     save_model(tmp_path, ToyModel(config).state_dict(), config, {})
     assert load(tmp_path, ToyModel)[1] == config
 
 
-@pytest.mark.parametrize("name", [MODEL, TRAINING])
-def test_nobody_is_told_to_delete_what_is_intact(run: Path, name: str):
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [(MODEL, "the obpose-train command that began it writes it anew"), (TRAINING, "begin anew in another folder")],
+)
+def test_a_missing_file_is_reported_with_what_keeps_the_intact_one(run: Path, name: str, advice: str):
     (run / name).unlink()
-    with pytest.raises(CorruptFile, match="missing") as caught:
+    with pytest.raises(CorruptFile, match=rf"{name} is missing, .*{advice}"):
         load_training(run, CONFIGURATION) if name == TRAINING else load(run, ToyModel)
-    assert "delete the folder" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", TABLES)

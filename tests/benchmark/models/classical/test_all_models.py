@@ -82,13 +82,6 @@ def test_turning_the_world_changes_no_partition(name: str, angle: float):
     assert same_partition(segment(name, clip), segment(name, turned(clip, angle)))
 
 
-@pytest.mark.parametrize("name", GEOMETRIC)
-def test_geometry_is_blind_to_colour(name: str):
-    clip, _ = clip_and_truth()
-    swapped = dataclasses.replace(clip, rgb=np.ascontiguousarray(clip.rgb[..., [2, 0, 1]]))
-    assert np.array_equal(segment(name, clip), segment(name, swapped))
-
-
 @pytest.mark.parametrize("name", CLASSICAL)
 def test_colour_counts_where_it_is_used(name: str):
     clip, _ = clip_and_truth()

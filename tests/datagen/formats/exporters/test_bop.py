@@ -63,8 +63,13 @@ def test_counts_are_those_of_the_masks(scene_folder: Path, stills: Path):
             assert facts["px_count_all"] == scene.read("visibility/amodal_pixels")[0, view, row]
             assert facts["px_count_visib"] == scene.read("visibility/visible_pixels")[0, view, row]
             assert facts["visib_fract"] == pytest.approx(scene.read("visibility/visible_fraction")[0, view, row])
-            left, top, width, height = facts["bbox_obj"]
-            assert np.count_nonzero(silhouette[top : top + height, left : left + width]) == facts["px_count_all"]
+            has_depth = scene.depth[0, view] > 0
+            assert facts["px_count_valid"] == np.count_nonzero((silhouette > 0) & has_depth)
+            visible = scene.segmentation[0, view] == row + 1
+            for name, mask in (("bbox_obj", silhouette > 0), ("bbox_visib", visible)):
+                rows, columns = np.nonzero(mask)
+                sides = np.ptp(columns) + 1, np.ptp(rows) + 1
+                assert facts[name] == [columns.min(), rows.min(), *sides]
 
 
 def test_models_are_listed_with_size_and_symmetry(scene_folder: Path):

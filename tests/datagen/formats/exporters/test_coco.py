@@ -12,16 +12,21 @@ coco_library = pytest.importorskip("pycocotools.coco")
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation")  # of pycocotools
 
 
-def test_pycocotools_reads_every_mask_and_box(clips: Path, exported: Export):
-    folder = exported(clips, "coco")
+@pytest.mark.parametrize(("dataset", "images"), [("clips", 6), ("stills", 2)])
+def test_pycocotools_reads_every_mask_and_box(
+    dataset: str, images: int, exported: Export, request: pytest.FixtureRequest
+):
+    data = request.getfixturevalue(dataset)
+    folder = exported(data, "coco")
     coco = coco_library.COCO(folder / "annotations" / "instances_train.json")
-    assert len(coco.imgs) == 6
+    assert len(coco.imgs) == images
     for image in coco.imgs.values():
-        index, frame = divmod(image["id"] - 1, 3)
-        scene = source(clips, index)
-        assert (image["video_id"], image["frame_index"]) == (index + 1, frame)
-        np.testing.assert_array_equal(imread(folder / "train" / image["file_name"]), scene.rgb[frame, 0])
-        labels = np.zeros_like(scene.segmentation[frame, 0])
+        video, frame = divmod(image["id"] - 1, source(data).frames)
+        index, view = divmod(video, source(data).views)
+        scene = source(data, index)
+        assert (image["video_id"], image["frame_index"]) == (video + 1, frame)
+        np.testing.assert_array_equal(imread(folder / "train" / image["file_name"]), scene.rgb[frame, view])
+        labels = np.zeros_like(scene.segmentation[frame, view])
         for annotation in coco.loadAnns(coco.getAnnIds(imgIds=image["id"])):
             mask = coco.annToMask(annotation) > 0
             labels[mask] = annotation["instance_id"]
@@ -31,7 +36,7 @@ def test_pycocotools_reads_every_mask_and_box(clips: Path, exported: Export):
             assert annotation["area"] == len(rows)
             name = coco.cats[annotation["category_id"]]["name"]
             assert name == scene.categories[annotation["instance_id"] - 1]
-        np.testing.assert_array_equal(labels, scene.segmentation[frame, 0])
+        np.testing.assert_array_equal(labels, scene.segmentation[frame, view])
 
 
 def test_video_annotations_follow_each_object(clips: Path, exported: Export):
@@ -46,6 +51,8 @@ def test_video_annotations_follow_each_object(clips: Path, exported: Export):
         )
         np.testing.assert_array_equal(runs.reshape(mask.shape[::-1]).T, mask)
         assert track["areas"][frame] == np.count_nonzero(mask)
+        left, top, width, height = track["bboxes"][frame]
+        assert np.count_nonzero(mask[top : top + height, left : left + width]) == np.count_nonzero(mask)
 
 
 def test_stills_have_no_video_annotations(stills: Path, exported: Export):

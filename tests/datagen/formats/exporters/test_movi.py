@@ -1,6 +1,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from datagen.formats.exporters import movi
 from datagen.geometry import rotation_from_quaternion
@@ -38,19 +39,24 @@ def test_points_from_kubric_s_camera_and_distance_are_the_scene_s(stills: Path, 
         assert np.max(np.abs(box[:, :2] - clip["instances/positions"][0, 0, :2])) < 0.08
 
 
-def test_boxes_and_positions_are_fractions_of_the_image(clips: Path, exported: Export):
-    clip, scene = read(exported(clips, "movi"), "000001"), source(clips, 1)
-    assert clip["instances/bboxes"].shape == (2, 3, 4)
-    assert clip["metadata/num_instances"] == 2
-    for row in range(2):
-        for place, frame in enumerate(clip["instances/bbox_frames"][row]):
-            mask = scene.segmentation[frame, 0] == row + 1
-            assert clip["instances/visibility"][row, frame] == np.count_nonzero(mask)
-            top, left, bottom, right = np.rint(64 * clip["instances/bboxes"][row, place]).astype(int)
-            assert mask[top:bottom, left:right].sum() == mask.sum()
-            x, y = clip["instances/image_positions"][row, frame]
-            assert left <= 64 * x <= right
-            assert top <= 64 * y <= bottom
+@pytest.mark.parametrize(("dataset", "index", "view", "objects"), [("clips", 1, 0, 2), ("stills", 0, 1, 3)])
+def test_boxes_and_positions_are_fractions_of_the_image(
+    dataset: str, index: int, view: int, objects: int, request: pytest.FixtureRequest
+):
+    scene = source(request.getfixturevalue(dataset), index)
+    arrays, (width, height) = movi.clip_arrays(scene, view), scene.size
+    assert np.shape(arrays["instances/bboxes"]) == (objects, scene.frames, 4)
+    assert arrays["metadata/num_instances"] == objects
+    for row, place in np.ndindex(objects, scene.frames):
+        frame = arrays["instances/bbox_frames"][row, place]
+        mask = scene.segmentation[frame, view] == row + 1
+        assert arrays["instances/visibility"][row, frame] == np.count_nonzero(mask)
+        rows, columns = np.nonzero(mask)
+        edges = (rows.min() / height, columns.min() / width, (rows.max() + 1) / height, (columns.max() + 1) / width)
+        np.testing.assert_allclose(arrays["instances/bboxes"][row, place], edges, rtol=1e-6)
+        x, y = arrays["instances/image_positions"][row, frame]
+        assert edges[1] <= x <= edges[3]
+        assert edges[0] <= y <= edges[2]
 
 
 def test_frames_without_an_object_leave_its_lists(clips: Path):

@@ -13,7 +13,7 @@ from imageio.v3 import imread
 from datagen.errors import CorruptFile, DatagenError, UsageError
 from datagen.formats.import_request import ReadOptions, Request
 from datagen.formats.importers import rgbd
-from datagen.formats.importers.write import Report, import_dataset
+from datagen.formats.importers.write import FPS, Report, import_dataset
 from datagen.storage.reader import Dataset
 from datagen.verify.dataset import find
 from tests.worlds import recordings
@@ -86,8 +86,8 @@ def test_points_lie_on_the_surfaces_that_their_pixels_show(case, tmp_path: Path)
     record = dataset.split(labelled[-1])[0]
     assert record["depth"].shape == (frames, views, SIZE[1], SIZE[0])
     assert max(errors(record).values()) < MILLIMETRE
-    assert np.array_equal(record["rgb"][0, 0], shoot().rgb)
     assert np.array_equal(record["segmentation"][0, 0], shoot().ids)
+    assert np.array_equal(record["rgb"], recordings.COLOURS[record["segmentation"]])
 
 
 def test_a_bop_scene_without_its_cameras_is_not_left_out_silently(tmp_path: Path):
@@ -142,6 +142,14 @@ def test_names_of_objects_are_kept(tmp_path: Path):
     take(rgbd, tmp_path / "c", format="rgbd", split="test")
     names = [Dataset(tmp_path / folder).split("test")[0]["objects/category"].tolist() for folder in "abc"]
     assert names == [[b"obj_000002", b"obj_000007"], [b"mug", b"bowl"], [b"", b"Sch?ssel"]]
+
+
+def test_frames_per_second_are_those_of_the_user_or_of_the_recording(tmp_path: Path):
+    source = write_rgbd(tmp_path / "source", [shoot(), shoot()], fps=30)
+    for name, changes, fps in (("a", {}, 30), ("b", {"fps": 5.0}, 5)):
+        assert take(source, tmp_path / name, format="rgbd", **changes).spec["recipe"]["fps"] == fps
+    unknown = write_rgbd(tmp_path / "unknown", [shoot(), shoot()])
+    assert take(unknown, tmp_path / "c", format="rgbd").spec["recipe"]["fps"] == FPS
 
 
 def test_scenes_with_too_many_objects_are_left_out(tmp_path: Path):

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
@@ -50,7 +50,6 @@ def test_distance_is_that_to_the_closest_of_many_points_on_the_surface(name, sur
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-@settings(max_examples=60, deadline=None)
 @given(a=points, b=points)
 def test_distance_never_changes_faster_than_the_point_moves(name, a, b):
     pair = np.array([a, b])

@@ -13,8 +13,8 @@ SLOTS, RAYS = 3, 7
 EVERY = torch.ones(1, 1, RAYS)
 
 
-def logits(seed: int = 0) -> torch.Tensor:
-    return 3 * torch.randn(1, 1, SLOTS, RAYS, generator=torch.Generator().manual_seed(seed))
+def logits() -> torch.Tensor:
+    return 3 * torch.randn(1, 1, SLOTS, RAYS, generator=torch.Generator().manual_seed(0))
 
 
 def test_densities_of_slots_add_up_and_each_is_below_its_largest():

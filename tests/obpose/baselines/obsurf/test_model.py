@@ -106,7 +106,7 @@ def test_one_view_is_the_input_and_all_are_supervised(monkeypatch: pytest.Monkey
     assert drawn[0].unique().tolist() == [0, 1, 2]
 
 
-def test_more_rays_can_be_drawn_where_the_densest_slot_is_not(monkeypatch: pytest.MonkeyPatch):
+def test_more_rays_can_be_drawn_where_the_densest_slot_is_not():
     """Each still weighs as much as it has to for means over all pixels."""
     model, scene = spread_out(**{"train.object_rays": 0.8, "train.rays": 900}), table_scene(views=2, holes=0.1)
     with torch.no_grad():  # slots that fresh weights tell apart but a little

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from obpose.model.losses.observation import COLOUR_STD as STD
-from obpose.model.losses.observation import air, colour_log_likelihood, colour_mixture, surface
+from obpose.model.losses.observation import air, colour_log_likelihood, colour_mixture, mean_over, surface
 from obpose.model.nerf.compose import OUTSIDE, log_share
 
 SHAPE = (2, 2, 3, 40)
@@ -89,7 +89,12 @@ def test_invalid_rays_have_no_say():
 
     torch.testing.assert_close(total(spoiled, 1e6), total(target, 1.0))
     gradients = torch.autograd.grad(total(spoiled, 1e6), (logits, colours))
-    assert all((gradient.transpose(2, 3)[:, :, :, :][~valid] == 0).all() for gradient in gradients)
+    assert all((gradient.transpose(2, 3)[~valid] == 0).all() for gradient in gradients)
+
+
+def test_a_ray_that_stands_for_more_pixels_counts_more():
+    loss = mean_over(torch.tensor([1.0, 2.0, torch.nan]), torch.tensor([0.5, 2.0, 0.0]))
+    assert loss.item() == pytest.approx((0.5 * 1 + 2 * 2) / 2.5)
 
 
 def test_a_clip_without_valid_rays_has_no_loss():

@@ -65,7 +65,7 @@ def test_the_latent_adds_to_three_layers():
         assert (gradient != 0).any(dim=-1).all()
 
 
-def test_density_does_not_depend_on_where_it_is_seen_from_but_colour_does():
+def test_colours_depend_on_where_they_are_seen_from_and_are_between_0_and_1():
     field, points, codes = Field(SMALL, 5), some(1, 3).expand(9, 3), some(1, 5)
     shared = field.condition(codes)
     _, hidden = field.density(points, shared)

@@ -31,16 +31,14 @@ def crop(
     around: torch.Tensor,
     *,
     samples: int = 160,
-    features: int = 4,
-    size: float = 0.2,
     rotation: torch.Tensor | None = None,
 ) -> BoxSamples:
     """One box, "1 1 1 sample", around the mean of the cube's points, whose masks are larger than the others'."""
     points = torch.cat([cube, around])
-    values = torch.randn(len(points), features, generator=torch.Generator().manual_seed(0))
+    values = torch.randn(len(points), 4, generator=torch.Generator().manual_seed(0))
     log_mask = torch.cat([torch.full((len(cube),), -0.1), torch.linspace(-2, -3, len(around))])
     rotation = torch.eye(3) if rotation is None else rotation
-    boxes = Boxes(cube.mean(dim=0)[None, None, None], rotation[None, None, None], size)
+    boxes = Boxes(cube.mean(dim=0)[None, None, None], rotation[None, None, None], 0.2)
     valid = torch.ones(1, 1, len(points), dtype=torch.bool)
     cloud = points[None, None], valid, values[None, None], log_mask[None, None, None]
     return gather_box(*cloud, boxes, samples=samples, whose="own")
