@@ -129,8 +129,9 @@ def train(
             else None
         )
         clips = learner.model.training_source(source)
-        validates = val_source is not None and len(val_source) > 0 and fabric.is_global_zero
-        val_clips = learner.model.training_source(val_source) if validates else None
+        val_clips = None
+        if val_source is not None and len(val_source) and fabric.is_global_zero:
+            val_clips = learner.model.training_source(val_source)
         run = _Run(fabric, learner, clips, val_source, val_clips, config, progress, record, report, look, score)
         try:
             with stop_on_signals() if folder else nullcontext(StopRequest()) as request:
