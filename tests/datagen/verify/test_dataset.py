@@ -95,8 +95,12 @@ def test_a_sample_is_drawn_from_all_splits(tiny_dataset: Path, tmp_path: Path, c
     folder = Path(shutil.copytree(tiny_dataset, tmp_path / "copy"))
     assert verify.run(folder, sample=3) == EXIT_OK
     assert "3 of 8 scenes verified" in capsys.readouterr().out
-    change_scene(folder, "test", 1, lift_depth)
-    assert {(finding.split, finding.scene) for finding in find(folder, sample=100)} == {("test", 1)}
+    every = {(split, scene) for split, size in Dataset(folder).splits.items() for scene in range(size)}
+    for split, scene in every:
+        change_scene(folder, split, scene, lift_depth)
+    for sample, expected in ((5, 5), (100, 8)):
+        found = {(finding.split, finding.scene) for finding in find(folder, sample=sample)}
+        assert len(found & every) == len(found) == expected
 
 
 def test_a_scene_that_is_there_twice_is_found(plain: Path):

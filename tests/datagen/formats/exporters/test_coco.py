@@ -27,6 +27,7 @@ def test_pycocotools_reads_every_mask_and_box(
         assert (image["video_id"], image["frame_index"]) == (video + 1, frame)
         np.testing.assert_array_equal(imread(folder / "train" / image["file_name"]), scene.rgb[frame, view])
         labels = np.zeros_like(scene.segmentation[frame, view])
+        assert (image["height"], image["width"]) == labels.shape
         for annotation in coco.loadAnns(coco.getAnnIds(imgIds=image["id"])):
             mask = coco.annToMask(annotation) > 0
             labels[mask] = annotation["instance_id"]
