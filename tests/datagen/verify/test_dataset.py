@@ -15,6 +15,7 @@ from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
 from datagen.schema import SceneRecord
 from datagen.storage import spec
 from datagen.storage.reader import Dataset
+from datagen.storage.shard import pack
 from datagen.verify.dataset import find
 from tests.processes import command_line, descendants, errors_at_end, wait_until_gone
 from tests.worlds import rendered
@@ -91,14 +92,27 @@ def test_damaged_files_are_findings(plain: Path):
     assert {finding.check for finding in find(plain) if finding.split} == {"file"}
 
 
-def test_a_sample_is_drawn_from_all_splits(tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    folder = Path(shutil.copytree(tiny_dataset, tmp_path / "copy"))
+def test_a_sample_is_drawn_from_all_splits(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    places = [(rendered.SPHERE, (0.2 + 0.02 * i, 0.0, 0.04)) for i in range(8)]
+    records = [rendered.record(rendered.scene([place], frames=1), resolution=(48, 48)) for place in places]
+    parts = {"train": records[:4], "val": records[4:6], "test": records[6:]}
+    folder = rendered.write_dataset(tmp_path / "set", records[:4])
+    facts = spec.with_splits(spec.read_spec(folder), {split: len(part) for split, part in parts.items()})
+    (folder / spec.SPEC_FILE).write_text(spec.spec_text(facts))
+
+    def write() -> None:
+        for split, part in parts.items():
+            rendered.write_shard(folder, facts, split, 0, [pack(record) for record in part])
+        rendered.write_manifest(folder)
+
+    write()
     assert verify.run(folder, sample=3) == EXIT_OK
     assert "3 of 8 scenes verified" in capsys.readouterr().out
-    every = {(split, scene) for split, size in Dataset(folder).splits.items() for scene in range(size)}
-    for split, scene in every:
-        change_scene(folder, split, scene, lift_depth)
-    for sample, expected in ((5, 5), (100, 8)):
+    for record in records:
+        lift_depth(record)
+    write()
+    every = {(split, scene) for split, part in parts.items() for scene in range(len(part))}
+    for sample, expected in ((3, 3), (100, 8)):
         found = {(finding.split, finding.scene) for finding in find(folder, sample=sample)}
         assert len(found & every) == len(found) == expected
 
