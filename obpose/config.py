@@ -153,7 +153,12 @@ class ModelConfig:
     """S: voxels along each edge of a box. [code: 24]"""
     table: float | None = 0.001
     """Height in metres above the world's z = 0 below which objects have no density; None for no limit. Without a limit
-    objects include their shadows. [ours]"""
+    objects include their shadows. The table's surface is 1 mm lower. [ours]"""
+
+    @property
+    def table_top(self) -> float:
+        """Height of the table's surface, world frame, metres: 1 mm below `table`, and 0 without that limit."""
+        return 0.0 if self.table is None else self.table - 0.001
 
     @property
     def has_background(self) -> bool:

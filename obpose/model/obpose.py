@@ -298,8 +298,8 @@ class ObPose(Trainable):
             batch, frames = observation.depth.shape[:2]
             frame = torch.randint(frames, (batch,), generator=generator, device=observation.depth.device)
             box, z = fixed(inference.boxes), inference.what.z
-            options = {"resolution": self.config.model.voxels, "frame": frame, "generator": generator}
-            shape = estimate_shape(self.object_field, box, active, z, observation, **options)
+            options = {"frame": frame, "resolution": self.config.model.voxels, "table": self.config.model.table_top}
+            shape = estimate_shape(self.object_field, box, active, z, observation, generator=generator, **options)
             terms["translation"] = translation(inference.boxes.center, shape.center, shape.found, active)
             terms["kl_where"] = kl(inference.where, active[:, None])
         return terms

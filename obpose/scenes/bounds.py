@@ -11,8 +11,6 @@ from obpose.model.nerf.voxels import THRESHOLD, lattice_points, occupancy
 from obpose.model.obpose import ObPose
 from obpose.scenes.scene import Scene
 
-TABLE = 0.0
-"""Height of the table in the world frame, metres."""
 _SUNK = 0.01
 """Tolerance for box centres below the table, metres; inferred thin objects need it."""
 
@@ -27,7 +25,7 @@ def workspace_bounds(model: ObPose) -> tuple[Float[Tensor, "3"], Float[Tensor, "
     half = settings.workspace_size / 2
     low, high = model.center - half, model.center + half
     if settings.table is not None:
-        low = torch.cat([low[:2], low[2:].clamp(min=TABLE)])
+        low = torch.cat([low[:2], low[2:].clamp(min=settings.table_top)])
     return low, high
 
 
@@ -76,7 +74,7 @@ def occupied(model: ObPose, codes: Conditioning) -> Float[Tensor, "voxel 3"]:
 
 
 def above_table(extent: Float[Tensor, "corner 3"], height: float) -> Float[Tensor, "some 3"]:
-    """Keep the voxels above the world's z = 0, for a box centre at this height, metres."""
+    """Keep the voxels above the table, for a box centre at this height above its surface, metres."""
     return extent[extent[:, 2] > -height]
 
 

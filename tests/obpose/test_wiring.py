@@ -1,5 +1,6 @@
 """Arguments that the parts of the model pass to each other; the parts have tests of their own."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -116,12 +117,14 @@ def test_shapes_are_looked_for_in_the_boxes_as_they_are_turned_in_any_frame(
     model: ObPose, scene: Observation, turned: torch.Tensor, monkeypatch: pytest.MonkeyPatch
 ):
     calls = Calls(monkeypatch, modelling, "estimate_shape")
+    model.config = replace(model.config, model=replace(model.config.model, table=0.101))
     for seed in range(8):
         model.losses(scene, step=STEP, generator=torch.Generator().manual_seed(seed))
     for _, boxes, _, what, _ in calls.arguments:
         assert torch.equal(boxes.rotation, turned.expand_as(boxes.rotation))
         assert what.shape[1] == scene.depth.shape[1]
     assert len({int(options["frame"]) for options in calls.options}) > 1
+    assert calls.options[0]["table"] == pytest.approx(0.1)
 
 
 def test_posteriors_compare_the_colours_that_the_camera_sees(

@@ -21,8 +21,8 @@ MIN_VOXELS = 4
 of 20 cm. [ours; code: more than 10 of 24^3 in a box of 40 cm]"""
 THRESHOLD = 0.5
 """sigma_T: occupancy above which a voxel belongs to the object. [code]"""
-FLOOR = -0.002
-"""Height in metres above the world's z = 0 below which voxels do not belong to an object. [code]"""
+SUNK = 0.002
+"""Depth in metres below the table's surface from which on voxels do not belong to an object. [code]"""
 
 Codes = Float[Tensor, "batch frame slot latent"]
 
@@ -72,24 +72,22 @@ def occupied_voxels(
     *,
     resolution: int,
     threshold: float = THRESHOLD,
-    floor: float | None = FLOOR,
+    table: float = 0.0,
     generator: torch.Generator | None = None,
 ) -> Voxels:
     """Voxels where sigma_v = tanh(softplus(f(p_v, z_k))) > sigma_T (paper, end of section Decoder).
 
-    Deviations, as in the authors' code: voxels below the floor or in observed free space are empty and not evaluated.
+    Deviations, as in the authors' code: voxels below the table or in observed free space are empty and not evaluated.
     This removes the bias towards the visible side.
 
     Slots that are not `active` have no occupied voxels. `resolution` is S, voxels along an edge of a box, and
-    `threshold` sigma_T. The `floor` is a height in the world, metres; None for no floor. The generator draws a point in
+    `threshold` sigma_T. The `table` is the height of its surface in the world, metres. The generator draws a point in
     each voxel; without one it is the centre.
     """
-    # Voxels that may be occupied: of active slots, above the floor, not seen through.
+    # Voxels that may be occupied: of active slots, above the table, not seen through.
     lattice = lattice_points(resolution, generator, boxes.center)
     points = from_box(lattice, boxes.center, boxes.rotation, boxes.size)
-    possible = active[:, None, :, None] & ~observed_free(points, observation)
-    if floor is not None:
-        possible &= points[..., 2] >= floor
+    possible = active[:, None, :, None] & ~observed_free(points, observation) & (points[..., 2] >= table - SUNK)
     index = possible.flatten().nonzero()[:, 0]
     owner, voxel = index // len(lattice), index % len(lattice)
     # Density at these voxels: tanh(softplus(f(p_v, z_k))).

@@ -69,6 +69,7 @@ def facing(place: Float[Tensor, "3"], camera: Float[Tensor, "3"]) -> Float[Tenso
 def _grid(model: ObPose, scene: Scene, frame: int, place: int) -> Grids | None:
     """Compute a grid as large as the dense part of a coarser grid around the occupied voxels."""
     center, camera = scene.center[frame, place], scene.cameras[0].world_from_camera[:3, 3]
+    height = float(center[2]) - model.config.model.table_top
     world_from_grid = facing(center, camera)
     grid_from_box = world_from_grid.T @ scene.rotation[frame, place]
     codes = object_codes(model, scene, frame, place)
@@ -82,10 +83,10 @@ def _grid(model: ObPose, scene: Scene, frame: int, place: int) -> Grids | None:
         inside = to_box(points, torch.zeros(3), grid_from_box, model.config.model.pose.box_size)
         density, hidden = model.object_field.density(inside, codes)
         colour = torch.logit(model.object_field.colour(hidden, sight.expand_as(inside), codes), eps=1e-3)
-        nowhere = (inside.abs() > 1 + _ROUNDING).any(dim=-1) | (points[:, 2] + center[2] < 0)
+        nowhere = (inside.abs() > 1 + _ROUNDING).any(dim=-1) | (points[:, 2] + height < 0)
         return points, density.where(~nowhere, -DENSITY_LIMIT).clamp(-DENSITY_LIMIT, DENSITY_LIMIT), colour
 
-    extent = above_table(shape_extent(model, codes, grid_from_box), float(center[2]))
+    extent = above_table(shape_extent(model, codes, grid_from_box), height)
     if len(extent) < LEAST_VOXELS:
         return None
     points, density, _ = around(extent, MARGIN)

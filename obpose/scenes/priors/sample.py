@@ -99,7 +99,7 @@ def _place(
         middle = _free_place(prior, center[:place, :2], reaches, reach, generator)
         if middle is None:
             return None
-        center[place, :2], center[place, 2] = middle, height
+        center[place, :2], center[place, 2] = middle, height + model.config.model.table_top
         rotation[place] = facing(center[place], camera) if drawn.face_camera else turn
         reaches.append(reach)
     return center, rotation

@@ -39,6 +39,11 @@ def test_a_thin_object_may_sink_a_little():
     check_inside(edit.move_to(some_scene(frames=1), 1, torch.tensor([0.0, 0.0, -0.0025])), some_model())
 
 
+def test_the_workspace_begins_at_the_table_of_the_model():
+    low, _ = workspace_bounds(some_model(**{"model.table": 0.101}))
+    assert low.tolist() == pytest.approx([-0.5, -0.5, 0.1])
+
+
 def test_where_there_is_no_table_the_workspace_ends_below():
     low, _ = workspace_bounds(some_model(**{"model.table": None}))
     assert low.tolist() == [-0.5, -0.5, -0.5]

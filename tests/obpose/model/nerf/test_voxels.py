@@ -21,7 +21,7 @@ from tests.obpose.analytic_fields import BallField, ball_on_table, blind, empty_
 
 ONE = torch.ones(1, 1, dtype=torch.bool)
 CODE = torch.zeros(1, 1, 1, 2)
-OPTIONS = {"resolution": 12, "threshold": 0.5, "floor": None}
+OPTIONS = {"resolution": 12, "threshold": 0.5, "table": -9.0}
 
 
 def world_points(*points: tuple[float, float, float]) -> torch.Tensor:
@@ -122,20 +122,21 @@ def test_the_shape_of_a_half_observed_ball_is_centred_on_the_ball(jitter: int | 
     assert (shape.center[0, 0, 0] - torch.tensor(middle)).norm() < 0.004
 
 
-def test_what_was_seen_through_or_is_under_the_floor_is_empty_whatever_the_field_says():
+@pytest.mark.parametrize("table", [0.0, 0.03])
+def test_what_was_seen_through_or_is_under_the_table_is_empty_whatever_the_field_says(table: float):
     middle, radius = torch.tensor([0.02, 0.01, 0.06]), 0.05
     observation = ball_on_table((0.02, 0.01, 0.06), radius)
     boxes = upright_box((0.02, 0.01, 0.06), size=0.15)
-    voxels = occupied_voxels(BallField(9.0), boxes, ONE, CODE, observation, resolution=16)
+    voxels = occupied_voxels(BallField(9.0), boxes, ONE, CODE, observation, resolution=16, table=table)
     points, occupied = voxels.points[0, 0, 0], voxels.occupied[0, 0, 0]
     eye = observation.world_from_camera[0, 0, :3, 3]
     nearest = _distance_to_segment(middle, eye, points)
     free = (points[:, 2] > 0.004) & (nearest > radius + 0.004)
-    solid = ((points - middle).norm(dim=-1) < radius - 0.008) & (points[:, 2] > 0)
+    solid = ((points - middle).norm(dim=-1) < radius - 0.008) & (points[:, 2] > table)
     assert free.sum() > 200
     assert solid.sum() > 50
     assert not occupied[free].any()
-    assert not occupied[points[:, 2] < -0.002].any()
+    assert not occupied[points[:, 2] < table - 0.002].any()
     assert occupied[solid].all()
 
 

@@ -91,11 +91,12 @@ def test_turning_the_object_alone_turns_its_grid():
     torch.testing.assert_close(after[..., 0], before[..., 0].flip(1).transpose(0, 1), atol=1e-3, rtol=0)
 
 
-def test_nothing_is_dense_below_the_table():
-    model = some_model()
+@pytest.mark.parametrize("table", [0.0, 0.2])
+def test_nothing_is_dense_below_the_table(table: float):
+    model = some_model(**{"model.table": table + 0.001})
     model.object_field = BallField(0.6, latent=32)
     scene = some_scene(objects=1, frames=1).with_appearance(detail=torch.zeros(1, 16, 16, 16, 4))
-    scene = replace(scene, center=torch.zeros(1, 1, 3), cameras=(beside(1.0, 0.0, 1.0),))
+    scene = replace(scene, center=torch.tensor([[[0.0, 0.0, table]]]), cameras=(beside(1.0, 0.0, 1.0 + table),))
     grids = grids_of(model, scene, 0)
     height = torch.linspace(-1, 1, EDGE) * float(grids.half[0])
     # A half ball of 6 cm: its middle is 3 cm high, and the grid as wide as the ball.

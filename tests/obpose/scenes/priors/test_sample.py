@@ -30,15 +30,15 @@ RADIUS = 0.4
 """Radius of the balls, in half edges of the box of 20 cm."""
 
 
-def origin() -> Origin:
+def origin(**changes: object) -> Origin:
     """A model all of whose objects are balls of 4 cm."""
-    model = some_model()
+    model = some_model(**changes)
     model.object_field = BallField(RADIUS, latent=32)
     return Origin(model, Path("folder"), "name", "hash")
 
 
-def sampled(objects: int, seed: int = 0, room: float = 1.0) -> Scene:
-    of = origin()
+def sampled(objects: int, seed: int = 0, room: float = 1.0, **changes: object) -> Scene:
+    of = origin(**changes)
     prior = learned_prior(of)
     prior = replace(prior, low=prior.low * room, high=prior.high * room)
     generator = torch.Generator().manual_seed(seed)
@@ -52,6 +52,11 @@ def test_objects_stand_on_the_table_beside_each_other():
     away = torch.cdist(scene.center[0, :, :2], scene.center[0, :, :2]) + 10 * torch.eye(6)
     assert away.min() > 2 * 0.1 * RADIUS - 0.02
     torch.testing.assert_close(scene.rotation[0, :, 2, 2], torch.ones(6))
+
+
+def test_objects_stand_on_a_table_that_is_elsewhere():
+    raised, usual = sampled(3, **{"model.table": 0.201}), sampled(3)
+    torch.testing.assert_close(raised.center - usual.center, torch.tensor([0.0, 0.0, 0.2]).expand(1, 3, 3))
 
 
 class SomeBalls(BallField):
