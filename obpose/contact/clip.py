@@ -27,6 +27,8 @@ LABELLED = 2.0
 """Logit of whether two pixels with the same label belong together; its negative for different labels."""
 TEARING = 4000.0
 """Loss of attraction by different motion, per metre of excess residual beyond that of parts that move together."""
+SLACK = 3.0
+"""Residual that parts which move together may have beyond that, in standard deviations of depth."""
 MOST_TORN = 12.0
 """Largest loss of attraction by different motion, and gain of parts that turn over together."""
 
@@ -86,7 +88,7 @@ def label_map(
 
 
 def segment_clip(
-    images: Sequence[Image] | Sequence[LabelledImage], *, bias: float, gap: float, views: int = 1
+    images: Sequence[Image] | Sequence[LabelledImage], *, bias: float, gap: float, views: int = 1, noise: float = 0.0
 ) -> Int64[np.ndarray, "image height width"]:
     """Label the objects of a clip.
 
@@ -95,6 +97,7 @@ def segment_clip(
         bias: Added to the logits of affinities in single images; larger values divide less.
         gap: Largest distance in metres of neighbouring points of a new object; points of no followed object start one.
         views: Number of views.
+        noise: Standard deviation of depth, metres.
 
     Returns:
         Labels from 1, one for an object over time; 0 outside the masks.
@@ -119,7 +122,7 @@ def segment_clip(
     labels, evidence = _join(labels, evidence, bias - caution)
     # Join larger parts unless they move apart, and those that turn over together.
     motion = common_motion(clouds, labels, views=views)
-    torn = np.clip(TEARING * (motion.excess - TOGETHER), 0, MOST_TORN)
+    torn = np.clip(TEARING * (motion.excess - TOGETHER - SLACK * noise), 0, MOST_TORN)
     torn[(torn == 0) & motion.tumbling] = -MOST_TORN
     labels, _ = _join(labels, evidence._replace(attraction=evidence.attraction - torn), bias + caution)
     return np.stack([label_map(image.mask, found) for image, found in zip(images, labels, strict=True)])

@@ -23,6 +23,9 @@ class ContactModelConfig:
     noise: float = 0.0
     """Standard deviation of the table's points about a plane, metres; measured before training
     (`obpose.data.scene_stats.measure_scene`)."""
+    fill_holes: bool = False
+    """Whether pixels without depth take that of a neighbour, in training and afterwards
+    (`obpose.data.clean_depth.fill_holes`)."""
     gap: float = 0.06
     """Largest distance in metres between neighbouring points of a pseudo-object."""
     bias: float = 0.5

@@ -24,6 +24,7 @@ from obpose.contact.images import CHANNELS, Images, augmented, cropped, images_o
 from obpose.contact.losses import affinity_loss, embedding_loss, foreground_loss
 from obpose.contact.network import UNet
 from obpose.contact.pasting import PastedClips
+from obpose.data.clean_depth import clean_depth, depth_noise
 from obpose.data.clips import ClipSource
 from obpose.geometry import unproject
 from obpose.model.attention.given import Labels
@@ -75,11 +76,16 @@ class ContactModel(Trainable):
     def pasted_clips(self, source: ClipSource) -> PastedClips:
         """Images that are pasted from the clips of a source."""
         model = self.config.model
-        return PastedClips(source, table=model.table, floor=model.floor, gap=model.gap, seed=self.config.train.seed)
+        settings = {"table": model.table, "floor": model.floor, "gap": model.gap, "fill_holes": model.fill_holes}
+        return PastedClips(source, **settings, seed=self.config.train.seed)
 
     def images(self, observation: Observation) -> Images:
-        """Arrange the images of an observation."""
-        return images_of(observation, center=self.center, table=self.config.model.table)
+        """Arrange the images of an observation; their depth is cleaned, as that of pasted images is already."""
+        cleaned = observation if isinstance(observation, PastedObservation) else self._cleaned(observation)
+        return images_of(cleaned, center=self.center, table=self.config.model.table)
+
+    def _cleaned(self, observation: Observation) -> Observation:
+        return clean_depth(observation, fill=self.config.model.fill_holes)
 
     def outputs(self, images: Images) -> Outputs:
         """Run the network."""
@@ -116,7 +122,7 @@ class ContactModel(Trainable):
         images = self.clip_images(observation)
         singles = [label_map(image.mask, image.groups(self.config.model.bias)) for image in images]
         single = torch.from_numpy(np.stack(singles)).view(observation.depth.shape).to(observation.depth.device)
-        return Segmentation(labels=self._over_time(images, observation), attention=single)
+        return Segmentation(labels=self._over_time(images, observation), attention=single * observation.valid)
 
     @torch.no_grad()
     def label_objects(self, observation: Observation) -> Labels:
@@ -127,13 +133,19 @@ class ContactModel(Trainable):
         frames, views = observation.depth.shape[1:3]
         bias, gap = self.config.model.bias, self.config.model.gap
         clips = [images[first : first + frames * views] for first in range(0, len(images), frames * views)]
-        labels = np.concatenate([segment_clip(clip, bias=bias, gap=gap, views=views) for clip in clips])
-        return torch.from_numpy(labels).view(observation.depth.shape).to(observation.depth.device)
+        noises = depth_noise(observation).tolist()
+        found = [
+            segment_clip(clip, bias=bias, gap=gap, views=views, noise=noise)
+            for clip, noise in zip(clips, noises, strict=True)
+        ]
+        labels = torch.from_numpy(np.concatenate(found)).view(observation.depth.shape).to(observation.depth.device)
+        return labels * observation.valid
 
     @torch.no_grad()
     def clip_images(self, observation: Observation) -> list[ClipImage]:
-        """Run the network, and prepare its outputs for inference: batch, then frame, then view."""
-        images, scale = self.images(observation), self.config.model.image_scale
+        """Clean the depth, run the network, and prepare its outputs for inference: batch, then frame, then view."""
+        observation, scale = self._cleaned(observation), self.config.model.image_scale
+        images = images_of(observation, center=self.center, table=self.config.model.table)
         outputs = self.outputs(images)
         masks = ((outputs.foreground > 0) & images.valid).cpu().numpy()
         embeddings = rearrange(outputs.embedding.cpu().numpy(), "i c h w -> i h w c")

@@ -16,15 +16,14 @@ from torch import Tensor
 from datagen import geometry
 from obpose.contact.components import image_components
 from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, track
+from obpose.data.clean_depth import clean_depth
 from obpose.data.clips import ClipSource, observation_of
 from obpose.errors import UsageError
 from obpose.geometry import unproject
 from obpose.random_streams import training_rng
 
 LEAST_PIXELS = 6
-"""Number of pixels of a 64x64 image, narrow holes included, from which a component is a pseudo-object."""
-HOLE = 1.5
-"""Largest distance, in pixels, of a pixel without depth from one whose point it takes in the search of components."""
+"""Number of pixels of a 64x64 image from which a component is a pseudo-object."""
 MOST_OBJECTS = 6
 """Number of objects of an image from which on no more are pasted into it."""
 PASTED = (1, 2, 3)
@@ -98,7 +97,7 @@ class PastedClips:
     frames_of_clip = 2**20
     """Number of different images with the background of one clip."""
 
-    def __init__(self, source: ClipSource, *, table: float, floor: float, gap: float, seed: int):
+    def __init__(self, source: ClipSource, *, table: float, floor: float, gap: float, fill_holes: bool, seed: int):
         """Check that the clips show objects; pseudo-objects of a clip are found when they are first used.
 
         Args:
@@ -106,12 +105,14 @@ class PastedClips:
             table: Height of the table in the world, metres.
             floor: Height above the table from which points belong to pseudo-objects, metres.
             gap: Largest distance between neighbouring points of a pseudo-object, metres.
+            fill_holes: Whether pixels without depth take that of a neighbour.
             seed: Seed of the images.
 
         Raises:
             UsageError: the first clips show nothing above the table.
         """
-        self._source, self._table, self._floor, self._gap, self._seed = source, table, floor, gap, seed
+        self._source, self._seed = source, seed
+        self._settings = {"table": table, "floor": floor, "gap": gap, "fill_holes": fill_holes}
         self._scenes: dict[int, PseudoScene] = {}
         if not any(self._scene(index).count for index in range(min(CHECKED, len(source)))):
             raise UsageError(
@@ -153,15 +154,16 @@ class PastedClips:
         """Image of a clip that shows the most pseudo-objects."""
         if index not in self._scenes:
             window = self._source.window(index, 0, self._source.frames_of_clip)
-            scenes = pseudo_scenes(window, table=self._table, floor=self._floor, gap=self._gap)
+            scenes = pseudo_scenes(window, **self._settings)
             self._scenes[index] = max(scenes, key=lambda scene: scene.count)
         return self._scenes[index]
 
     def pseudo_labels(self, window: Mapping[str, Tensor]) -> UInt8[np.ndarray, "frame view height width"]:
         """Pseudo-objects of a window of a clip, followed from the frame that shows the most; 0 elsewhere."""
-        scenes = list(pseudo_scenes(window, table=self._table, floor=self._floor, gap=self._gap))
+        scenes = list(pseudo_scenes(window, **self._settings))
         views = len(window["k"])
-        return np.stack([_followed(scenes[view::views], self._gap) for view in range(views)], axis=1)
+        labels = np.stack([_followed(scenes[view::views], self._settings["gap"]) for view in range(views)], axis=1)
+        return np.where(window["valid"].numpy(), labels, 0).astype(np.uint8)
 
 
 class ClipsWithPasted:
@@ -213,39 +215,29 @@ def _followed(scenes: Sequence[PseudoScene], gap: float) -> UInt8[np.ndarray, "f
     return labels
 
 
-def pseudo_scenes(window: Mapping[str, Tensor], *, table: float, floor: float, gap: float) -> Iterator[PseudoScene]:
+def pseudo_scenes(
+    window: Mapping[str, Tensor], *, table: float, floor: float, gap: float, fill_holes: bool
+) -> Iterator[PseudoScene]:
     """Find the pseudo-objects in all images of a clip's window (`ClipSource`), by frames and views.
 
-    Narrow holes in the depth do not divide them: a pixel without depth connects its neighbours as the nearest one
-    with depth would.
+    The depth of the images is cleaned. Narrow holes never divide objects, but have depth and labels only if they are to
+    be filled.
     """
-    observation = observation_of([window])
+    observation = clean_depth(observation_of([window]), fill=True)
     points = unproject(observation)[0].numpy()
     rgb, depth, valid = (getattr(observation, name)[0].numpy() for name in ("rgb", "depth", "valid"))
+    kept = valid if fill_holes else window["valid"].numpy()
     least = max(LEAST_PIXELS, round(LEAST_PIXELS * depth[0, 0].size / 64**2))
     for frame, view in np.ndindex(*depth.shape[:2]):
-        measured = valid[frame, view]
-        filled, known = _with_narrow_holes(points[frame, view], measured)
-        labels = image_components(filled, known & (filled[..., 2] > table + floor), gap=gap, least=least)
+        standing = valid[frame, view] & (points[frame, view, ..., 2] > table + floor)
+        labels = image_components(points[frame, view], standing, gap=gap, least=least)
         yield PseudoScene(
             rgb=rgb[frame, view].copy(),
-            depth=np.where(measured, depth[frame, view], 0).astype(np.float32),
-            labels=np.where(measured & (labels <= LARGEST_LABEL), labels, 0).astype(np.uint8),
+            depth=np.where(kept[frame, view], depth[frame, view], 0).astype(np.float32),
+            labels=np.where(kept[frame, view] & (labels <= LARGEST_LABEL), labels, 0).astype(np.uint8),
             k=observation.k[0, view].numpy(),
             world_from_camera=observation.world_from_camera[0, view].numpy(),
         )
-
-
-def _with_narrow_holes(
-    points: Float[np.ndarray, "height width 3"], measured: Bool[np.ndarray, "height width"]
-) -> tuple[Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"]]:
-    """Give pixels beside one with depth the point of the nearest one; also say which pixels have a point."""
-    if measured.all() or not measured.any():
-        return points, measured
-    found = distance_transform_edt(~measured, return_indices=True)
-    assert isinstance(found, tuple)
-    distance, nearest = found
-    return points[tuple(nearest)], distance <= HOLE
 
 
 def cut_out(scene: PseudoScene, rng: np.random.Generator) -> Cutout | None:

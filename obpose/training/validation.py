@@ -128,14 +128,18 @@ def validation_losses(
 def validation_score(
     model: Trainable, source: ClipSource, config: TrainConfig, score: Score, *, device: torch.device
 ) -> float | None:
-    """Mean score of the segmentations of whole clips; None if there are no labels or no defined scores."""
+    """Mean score of the segmentations of whole clips; None if there are no labels or no defined scores.
+
+    As in the benchmark, pixels without depth do not count.
+    """
     values = []
     for index in range(_clips(source)):
         window = source.window(index, 0, source.frames_of_clip)
         if SEGMENTATION not in window:
             return None
         labels = segment_clip(model, observation_of([window]).to(device), config.views)
-        values.append(score(window[SEGMENTATION].numpy(), labels))
+        truth = np.where(window["valid"].numpy(), window[SEGMENTATION].numpy(), 0)
+        values.append(score(truth, labels))
     defined = [value for value in values if not np.isnan(value)]
     return float(np.mean(defined)) if defined else None
 

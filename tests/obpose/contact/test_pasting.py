@@ -11,7 +11,7 @@ from obpose.geometry import unproject
 from tests.worlds.sphere_clips import balls
 
 RADIUS = 0.045
-SETTINGS = {"table": 0.0, "floor": 0.0015, "gap": 0.06}
+SETTINGS = {"table": 0.0, "floor": 0.0015, "gap": 0.06, "fill_holes": False}
 
 
 def source(*scenes: Sequence[tuple[float, float]]) -> ArrayClips:
@@ -80,8 +80,9 @@ def test_the_image_with_the_most_objects_is_used():
     assert int(image["pseudo_labels"].max()) >= 2
 
 
-def test_narrow_holes_do_not_divide_objects_and_stay_unlabelled():
-    image = source([(-RADIUS, 0.0), (RADIUS, 0.0)]).window(0, 0, 1)
+def test_narrow_holes_do_not_divide_objects_and_belong_to_them_only_if_filled():
+    clips = source([(-RADIUS, 0.0), (RADIUS, 0.0)])
+    image = clips.window(0, 0, 1)
     labels = next(pseudo_scenes(image, **SETTINGS)).labels
     longer = int(np.argmax([np.ptp(np.nonzero(labels)[axis]) for axis in (0, 1)]))
     middle = round(np.nonzero(labels)[longer].mean())
@@ -90,9 +91,19 @@ def test_narrow_holes_do_not_divide_objects_and_stay_unlabelled():
         hole[longer] = slice(middle - width // 2, middle + width // 2)
         valid = image["valid"].clone()
         valid[0, 0][tuple(hole)] = False
-        found = next(pseudo_scenes({**image, "valid": valid}, **SETTINGS))
-        assert found.count == count
-        assert not found.labels[tuple(hole)].any()
+        holed = {**image, "valid": valid, "depth": image["depth"] * valid}
+        found = next(pseudo_scenes(holed, **SETTINGS))
+        filled = next(pseudo_scenes(holed, **{**SETTINGS, "fill_holes": True}))
+        assert found.count == filled.count == count
+        # Only where holes are filled, those pixels belong to objects that have a neighbour outside.
+        ball = labels[tuple(hole)] > 0
+        for scene, expected in ((found, False), (filled, True)):
+            for values in (scene.labels, scene.depth):
+                assert values[tuple(hole)][ball].any() == expected
+        assert filled.labels[tuple(hole)][ball].all() == (width == 2)
+        of_clip = PastedClips(clips, **SETTINGS, seed=0).pseudo_labels(holed)
+        assert of_clip[0, 0].max() == count
+        assert not of_clip[0, 0][tuple(hole)].any()
 
 
 def test_clips_that_show_nothing_are_refused():

@@ -48,6 +48,20 @@ def test_segmentations_of_whole_clips_are_scored():
     assert validation_score(model, ToyClips(), settings, agreement, device=CPU) is None
 
 
+def test_pixels_without_depth_are_not_scored():
+    """As in the benchmark: their true labels count as background, which ARI-FG leaves out."""
+    seen = []
+    source = ToyClips(labels=True)
+    whole = source.window(0, 0, source.frames_of_clip)
+    window = {**whole, "valid": whole["valid"] & (torch.arange(whole["valid"].shape[-1]) % 2 == 0)}
+    source.window = lambda *arguments: window
+    model, settings = ToyModel(toy_config()), toy_config().train
+    validation_score(model, source, settings, lambda truth, labels: seen.append(truth) or 0.0, device=CPU)
+    assert (seen[0][..., 1::2] == 0).all()
+    np.testing.assert_array_equal(seen[0][..., ::2], whole["segmentation"][..., ::2])
+    assert (whole["segmentation"][..., 1::2] > 0).any()
+
+
 def test_clips_without_a_score_stay_out_of_the_mean():
     scores = iter([0.5, math.nan, 1.0])
     model, settings = ToyModel(toy_config()), toy_config().train
