@@ -139,8 +139,6 @@ _LARGER_BOXES: Changes = {"model.pose.box_size": 0.35}
 """Changes for objects of up to 30 cm; objects of other tracks are at most 18 cm long, and boxes 20 cm."""
 _FEWER_DIVISIONS: Changes = {"contact.bias": 2.5}
 """Changes for stills. Pasted images have more contacts than these tracks, and no motion joins parts again."""
-_FILLED: Changes = {"contact.fill_holes": True}
-"""Changes for a depth sensor that loses half of the pixels beside depth edges, in small images."""
 _COMPLETED: Changes = {"model.pose.max_translation": 0.05}
 """Changes for few kinds of shapes, whose hidden sides can be learned from other views."""
 
@@ -204,7 +202,7 @@ SYSTEMS: dict[str, System] = {
         DESCRIPTIONS["contact-masks"],
         ("background slot", "camera pose", "plane"),
         version=3,
-        on_tracks={"noisy": {"model.fill_holes": True}},
+        on_tracks={"noisy": {"model.clean_depth": True}},
     ),
     "obpose-contact": System(
         OBPOSE_CONTACT,
@@ -223,7 +221,7 @@ SYSTEMS: dict[str, System] = {
             "clevr3d": {**_FEWER_DIVISIONS, **_COMPLETED},
             "desk": _LARGER_BOXES,
             "multishape": {**_LARGER_BOXES, **_FEWER_DIVISIONS},
-            "noisy": _FILLED,
+            "noisy": {"contact.clean_depth": True},
             "static": _FEWER_DIVISIONS,
         },
     ),

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from obpose.config import Config, TrainConfig
 from obpose.config_bounds import SLOTS, TRAINING, Rule, check_bounds, check_values, expect, not_negative, positive
+from obpose.data.clean_depth import SMOOTHED
 
 LEAST_FLOOR = 0.0015
 """Height in metres above the table from which points belong to objects, for exact depth."""
@@ -23,9 +24,9 @@ class ContactModelConfig:
     noise: float = 0.0
     """Standard deviation of the table's points about a plane, metres; measured before training
     (`obpose.data.scene_stats.measure_scene`)."""
-    fill_holes: bool = False
-    """Whether pixels without depth take that of a neighbour, in training and afterwards
-    (`obpose.data.clean_depth.fill_holes`)."""
+    clean_depth: bool = False
+    """Whether noisy depth is smoothed, and narrow holes are filled, in training and afterwards
+    (`obpose.data.clean_depth`)."""
     gap: float = 0.06
     """Largest distance in metres between neighbouring points of a pseudo-object."""
     bias: float = 0.5
@@ -44,7 +45,8 @@ class ContactModelConfig:
     @property
     def floor(self) -> float:
         """Height in metres above the table from which points belong to objects."""
-        return max(LEAST_FLOOR, FLOOR_NOISE * self.noise)
+        noise = self.noise / SMOOTHED if self.clean_depth else self.noise
+        return max(LEAST_FLOOR, FLOOR_NOISE * noise)
 
 
 @dataclass(frozen=True)

@@ -76,16 +76,16 @@ class ContactModel(Trainable):
     def pasted_clips(self, source: ClipSource) -> PastedClips:
         """Images that are pasted from the clips of a source."""
         model = self.config.model
-        settings = {"table": model.table, "floor": model.floor, "gap": model.gap, "fill_holes": model.fill_holes}
+        settings = {"table": model.table, "floor": model.floor, "gap": model.gap, "clean": model.clean_depth}
         return PastedClips(source, **settings, seed=self.config.train.seed)
 
     def images(self, observation: Observation) -> Images:
-        """Arrange the images of an observation; their depth is cleaned, as that of pasted images is already."""
+        """Arrange the images of an observation. The depth of pasted images has been cleaned already."""
         cleaned = observation if isinstance(observation, PastedObservation) else self._cleaned(observation)
         return images_of(cleaned, center=self.center, table=self.config.model.table)
 
     def _cleaned(self, observation: Observation) -> Observation:
-        return clean_depth(observation, fill=self.config.model.fill_holes)
+        return clean_depth(observation) if self.config.model.clean_depth else observation
 
     def outputs(self, images: Images) -> Outputs:
         """Run the network."""
@@ -133,7 +133,7 @@ class ContactModel(Trainable):
         frames, views = observation.depth.shape[1:3]
         bias, gap = self.config.model.bias, self.config.model.gap
         clips = [images[first : first + frames * views] for first in range(0, len(images), frames * views)]
-        noises = depth_noise(observation).tolist()
+        noises = depth_noise(observation).tolist() if self.config.model.clean_depth else [0.0] * len(clips)
         found = [
             segment_clip(clip, bias=bias, gap=gap, views=views, noise=noise)
             for clip, noise in zip(clips, noises, strict=True)

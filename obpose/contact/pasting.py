@@ -16,7 +16,7 @@ from torch import Tensor
 from datagen import geometry
 from obpose.contact.components import image_components
 from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, track
-from obpose.data.clean_depth import clean_depth
+from obpose.data.clean_depth import clean_depth, without_narrow_holes
 from obpose.data.clips import ClipSource, observation_of
 from obpose.errors import UsageError
 from obpose.geometry import unproject
@@ -97,7 +97,7 @@ class PastedClips:
     frames_of_clip = 2**20
     """Number of different images with the background of one clip."""
 
-    def __init__(self, source: ClipSource, *, table: float, floor: float, gap: float, fill_holes: bool, seed: int):
+    def __init__(self, source: ClipSource, *, table: float, floor: float, gap: float, clean: bool, seed: int):
         """Check that the clips show objects; pseudo-objects of a clip are found when they are first used.
 
         Args:
@@ -105,14 +105,14 @@ class PastedClips:
             table: Height of the table in the world, metres.
             floor: Height above the table from which points belong to pseudo-objects, metres.
             gap: Largest distance between neighbouring points of a pseudo-object, metres.
-            fill_holes: Whether pixels without depth take that of a neighbour.
+            clean: Whether noisy depth is smoothed and narrow holes are filled.
             seed: Seed of the images.
 
         Raises:
             UsageError: the first clips show nothing above the table.
         """
         self._source, self._seed = source, seed
-        self._settings = {"table": table, "floor": floor, "gap": gap, "fill_holes": fill_holes}
+        self._settings = {"table": table, "floor": floor, "gap": gap, "clean": clean}
         self._scenes: dict[int, PseudoScene] = {}
         if not any(self._scene(index).count for index in range(min(CHECKED, len(source)))):
             raise UsageError(
@@ -216,17 +216,17 @@ def _followed(scenes: Sequence[PseudoScene], gap: float) -> UInt8[np.ndarray, "f
 
 
 def pseudo_scenes(
-    window: Mapping[str, Tensor], *, table: float, floor: float, gap: float, fill_holes: bool
+    window: Mapping[str, Tensor], *, table: float, floor: float, gap: float, clean: bool
 ) -> Iterator[PseudoScene]:
     """Find the pseudo-objects in all images of a clip's window (`ClipSource`), by frames and views.
 
-    The depth of the images is cleaned. Narrow holes never divide objects, but have depth and labels only if they are to
-    be filled.
+    Narrow holes in the depth never divide objects. They have depth and labels only if images are to be cleaned.
     """
-    observation = clean_depth(observation_of([window]), fill=True)
-    points = unproject(observation)[0].numpy()
-    rgb, depth, valid = (getattr(observation, name)[0].numpy() for name in ("rgb", "depth", "valid"))
-    kept = valid if fill_holes else window["valid"].numpy()
+    observed = observation_of([window])
+    whole = clean_depth(observed) if clean else without_narrow_holes(observed)
+    points = unproject(whole)[0].numpy()
+    rgb, depth, valid = (getattr(whole, name)[0].numpy() for name in ("rgb", "depth", "valid"))
+    kept = valid if clean else observed.valid[0].numpy()
     least = max(LEAST_PIXELS, round(LEAST_PIXELS * depth[0, 0].size / 64**2))
     for frame, view in np.ndindex(*depth.shape[:2]):
         standing = valid[frame, view] & (points[frame, view, ..., 2] > table + floor)
@@ -235,8 +235,8 @@ def pseudo_scenes(
             rgb=rgb[frame, view].copy(),
             depth=np.where(kept[frame, view], depth[frame, view], 0).astype(np.float32),
             labels=np.where(kept[frame, view] & (labels <= LARGEST_LABEL), labels, 0).astype(np.uint8),
-            k=observation.k[0, view].numpy(),
-            world_from_camera=observation.world_from_camera[0, view].numpy(),
+            k=whole.k[0, view].numpy(),
+            world_from_camera=whole.world_from_camera[0, view].numpy(),
         )
 
 

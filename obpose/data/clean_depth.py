@@ -16,14 +16,16 @@ EXACT = 2e-4
 """Standard deviation of inverse depth, 1/m, up to which depth counts as exact: 0.2 mm at 1 m."""
 NEAR = 3.0
 """Largest difference, in standard deviations, of a pixel from the mean of two neighbours that smooth it."""
+SMOOTHED = 3.0
+"""Factor by which smoothing reduces the noise of planes: nine pixels are averaged."""
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Rows and columns from a pixel to four of its eight neighbours; the others lie opposite."""
 
 
-def clean_depth(observation: Observed, *, fill: bool) -> Observed:
-    """Smooth noisy depth (`smooth_depth`) and, if so chosen, `fill_holes`.
+def clean_depth(observation: Observed) -> Observed:
+    """Smooth noisy depth (`smooth_depth`), and fill narrow holes (`without_narrow_holes`).
 
-    Noise is measured for each clip; exact depth is left as it is.
+    Noise is measured for each clip. Exact depth without holes is returned as it is.
     """
     noise = _noise(observation)
     noisy = noise > EXACT
@@ -31,7 +33,12 @@ def clean_depth(observation: Observed, *, fill: bool) -> Observed:
         smooth = smooth_depth(observation.depth, observation.valid, noise[:, None, None, None, None])
         depth = torch.where(noisy[:, None, None, None, None], smooth, observation.depth)
         observation = replace(observation, depth=depth)
-    if not fill or observation.valid.all():
+    return without_narrow_holes(observation)
+
+
+def without_narrow_holes(observation: Observed) -> Observed:
+    """Fill holes in the depth whose pixels have a neighbour with depth (`fill_holes`)."""
+    if observation.valid.all():
         return observation
     depth = fill_holes(observation.depth, observation.valid, observation.rgb)
     return replace(observation, depth=depth, valid=observation.valid | (depth > 0))
@@ -39,10 +46,8 @@ def clean_depth(observation: Observed, *, fill: bool) -> Observed:
 
 def depth_noise(observation: Observation) -> Float[Tensor, " batch"]:
     """Estimate the standard deviation of depth at the median depth of each clip, metres; 0 for exact depth."""
-    noise, known = (
-        _noise(observation),
-        [depth[valid] for depth, valid in zip(observation.depth, observation.valid, strict=True)],
-    )
+    noise = _noise(observation)
+    known = [depth[valid] for depth, valid in zip(observation.depth, observation.valid, strict=True)]
     middle = torch.stack([depth.median() if len(depth) else depth.new_zeros(()) for depth in known])
     return torch.where(noise > EXACT, noise * middle**2, 0.0)
 
@@ -70,8 +75,8 @@ def smooth_depth(
 ) -> Float[Tensor, "*image height width"]:
     """Average every pixel with those pairs of opposite neighbours whose mean is near its own, in inverse depth.
 
-    Inverse depth is linear on planes, so that they are kept exactly, and edges are not blurred. On a plane the noise
-    falls to about a third.
+    Inverse depth is linear on planes, so that they are kept exactly, and edges are not blurred. On planes the noise
+    falls by about `SMOOTHED`.
 
     Args:
         depth: Planar z in metres.

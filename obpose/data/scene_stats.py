@@ -10,7 +10,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from datagen.rgbd.plane import fit_plane
-from obpose.data.clean_depth import clean_depth
 from obpose.data.clips import ClipSource, observation_of
 from obpose.errors import UsageError
 from obpose.geometry import unproject
@@ -58,7 +57,6 @@ def measure_scene(source: ClipSource) -> SceneMeasures:
     count = min(CLIPS, len(source))
     images = [observation_of([source.window(i * len(source) // count, 0, 1)]) for i in range(count)]
     clouds = [unproject(image)[image.valid] for image in images]
-    cleaned = [unproject(image)[image.valid] for image in (clean_depth(each, fill=False) for each in images)]
     points = torch.cat(clouds)
     steps = torch.cat([neighbour_distances(image) for image in images])
     if not len(points) or not len(steps):
@@ -79,7 +77,7 @@ def measure_scene(source: ClipSource) -> SceneMeasures:
         workspace_center=(x, y, z),
         workspace_size=MARGIN * float((high - low).max()),
         background_size=2 * float(reach),
-        noise=_plane_noise(cleaned),
+        noise=_plane_noise(clouds),
         image_scale=max(1, round(images[0].depth.shape[-1] / 64)),
     )
 

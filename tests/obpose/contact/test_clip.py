@@ -36,7 +36,7 @@ def clip_of(centres: np.ndarray, wrong: dict[int, np.ndarray] | None = None) -> 
     return images, labels
 
 
-def segmented(images: list[Image], **options: int) -> np.ndarray:
+def segmented(images: list[Image], **options: float) -> np.ndarray:
     return segment_clip(images, bias=0.0, gap=0.03, **options)
 
 
@@ -53,8 +53,8 @@ def test_errors_of_single_images_are_outvoted(bad: tuple[int, ...]):
     assert same(segmented(images), truth)
 
 
-@pytest.mark.parametrize("rigid", [True, False])
-def test_motion_decides_where_the_network_is_undecided(rigid: bool):
+@pytest.mark.parametrize(("rigid", "noise"), [(True, 0.0), (False, 0.0), (False, 0.05)])
+def test_motion_beyond_the_noise_decides_where_the_network_is_undecided(rigid: bool, noise: float):
     # Two balls in contact in the image; they move as one body, or the second overtakes the first.
     centres = paths((X if rigid else X / 2, 0 * X - 0.04), (X, 0 * X + 0.04))
     images, truth = clip_of(centres)
@@ -62,7 +62,8 @@ def test_motion_decides_where_the_network_is_undecided(rigid: bool):
         image._replace(pairs=image.pairs._replace(logits=np.where(image.pairs.logits < 0, 0.1, image.pairs.logits)))
         for image in images[1:]
     ]
-    found, expected = segmented([images[0], *undecided]), truth > 0 if rigid else truth
+    found = segmented([images[0], *undecided], noise=noise)
+    expected = truth > 0 if rigid or noise else truth
     assert len(np.unique(found)) == len(np.unique(expected))
     assert adjusted_rand_score(found[truth > 0], expected[truth > 0]) > 0.95
 

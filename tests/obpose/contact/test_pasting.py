@@ -11,7 +11,7 @@ from obpose.geometry import unproject
 from tests.worlds.sphere_clips import balls
 
 RADIUS = 0.045
-SETTINGS = {"table": 0.0, "floor": 0.0015, "gap": 0.06, "fill_holes": False}
+SETTINGS = {"table": 0.0, "floor": 0.0015, "gap": 0.06, "clean": False}
 
 
 def source(*scenes: Sequence[tuple[float, float]]) -> ArrayClips:
@@ -80,7 +80,7 @@ def test_the_image_with_the_most_objects_is_used():
     assert int(image["pseudo_labels"].max()) >= 2
 
 
-def test_narrow_holes_do_not_divide_objects_and_belong_to_them_only_if_filled():
+def test_narrow_holes_do_not_divide_objects_and_belong_to_them_only_if_cleaned():
     clips = source([(-RADIUS, 0.0), (RADIUS, 0.0)])
     image = clips.window(0, 0, 1)
     labels = next(pseudo_scenes(image, **SETTINGS)).labels
@@ -93,9 +93,9 @@ def test_narrow_holes_do_not_divide_objects_and_belong_to_them_only_if_filled():
         valid[0, 0][tuple(hole)] = False
         holed = {**image, "valid": valid, "depth": image["depth"] * valid}
         found = next(pseudo_scenes(holed, **SETTINGS))
-        filled = next(pseudo_scenes(holed, **{**SETTINGS, "fill_holes": True}))
+        filled = next(pseudo_scenes(holed, **{**SETTINGS, "clean": True}))
         assert found.count == filled.count == count
-        # Only where holes are filled, those pixels belong to objects that have a neighbour outside.
+        # Only in cleaned images those pixels belong to objects that have a neighbour outside.
         ball = labels[tuple(hole)] > 0
         for scene, expected in ((found, False), (filled, True)):
             for values in (scene.labels, scene.depth):

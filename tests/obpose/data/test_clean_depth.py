@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from obpose.data.clean_depth import clean_depth, fill_holes, inverse_depth_noise, smooth_depth
+from obpose.data.clean_depth import SMOOTHED, clean_depth, depth_noise, fill_holes, inverse_depth_noise, smooth_depth
 from obpose.types import Observation
 
 NOISE = 0.002
@@ -42,27 +42,37 @@ def test_noise_is_measured_whatever_the_edges_and_holes(edge: float, holes: floa
     assert float(inverse_depth_noise(noisy.depth, noisy.valid)) == pytest.approx(NOISE, rel=0.1)
 
 
+def test_noise_of_depth_is_that_at_the_median_depth():
+    clips = observed(tilted_plane(), clips=2)
+    one_exact = replace(clips, depth=torch.stack([clips.depth[0], (1 / tilted_plane()).expand(2, 1, 48, 64)]))
+    noisy, exact = depth_noise(one_exact).tolist()
+    assert noisy == pytest.approx(NOISE / tilted_plane().median().item() ** 2, rel=0.1)
+    assert exact == 0
+    nothing = replace(clips, valid=torch.zeros_like(clips.valid), depth=torch.zeros_like(clips.depth))
+    assert depth_noise(nothing).tolist() == [0, 0]
+
+
 def test_images_without_three_pixels_in_a_row_have_no_noise():
     assert inverse_depth_noise(torch.ones(2, 2), torch.ones(2, 2, dtype=torch.bool)) == 0
 
 
 def test_exact_depth_without_holes_is_left_as_it_is():
     exact = observed(tilted_plane(), noise=1e-4)
-    assert clean_depth(exact, fill=True) is exact
+    assert clean_depth(exact) is exact
 
 
 def test_clips_have_noise_of_their_own():
     both = observed(tilted_plane(), clips=2)
     one_exact = replace(both, depth=torch.stack([(1 / tilted_plane()).expand(2, 1, 48, 64), both.depth[1]]))
-    cleaned = clean_depth(one_exact, fill=False)
+    cleaned = clean_depth(one_exact)
     assert torch.equal(cleaned.depth[0], one_exact.depth[0])
-    torch.testing.assert_close(cleaned.depth[1], clean_depth(both, fill=False).depth[1])
+    torch.testing.assert_close(cleaned.depth[1], clean_depth(both).depth[1])
     assert not torch.equal(cleaned.depth[1], both.depth[1])
 
 
 def test_noise_of_planes_falls_to_about_a_third_without_bias():
     errors = smoothed_errors(observed(tilted_plane()), tilted_plane())
-    assert errors.std() == pytest.approx(NOISE / 3, rel=0.15)
+    assert errors.std() == pytest.approx(NOISE / SMOOTHED, rel=0.15)
     assert errors.mean().abs() < 0.02 * NOISE
 
 
@@ -96,8 +106,7 @@ def test_holes_take_the_depth_of_the_neighbour_of_similar_colour():
 
 def test_filled_pixels_are_valid_and_others_keep_their_depth():
     holed = observed(tilted_plane(), noise=0.0, holes=0.3)
-    cleaned = clean_depth(holed, fill=True)
+    cleaned = clean_depth(holed)
     assert torch.equal(cleaned.depth[holed.valid], holed.depth[holed.valid])
     assert torch.equal(cleaned.valid, cleaned.depth > 0)
     assert cleaned.valid.float().mean() > 0.99
-    assert clean_depth(holed, fill=False) is holed
