@@ -5,12 +5,13 @@ import pytest
 import torch
 
 from obpose.config import override
-from obpose.contact.config import ContactConfig, check_contact_bounds
+from obpose.contact.config import ContactConfig, ContactModelConfig, check_contact_bounds
 from obpose.contact.images import Images, augmented, cropped, images_of
 from obpose.contact.model import ContactModel
 from obpose.contact.network import UNet
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of
 from obpose.errors import UsageError
+from obpose.geometry import unproject
 from obpose.systems import find_system
 from obpose.training.loop import train
 from obpose.types import Observation, PastedObservation
@@ -111,6 +112,28 @@ def test_segmentations_have_the_shape_of_the_clip_and_leave_out_pixels_without_d
     found = model.segment(replace(observation, valid=valid, depth=observation.depth * valid))
     assert found.labels.shape == found.attention.shape == observation.depth.shape
     assert torch.equal(found.labels > 0, valid)
+
+
+@pytest.mark.parametrize("clean", [False, True])
+def test_depth_is_cleaned_only_if_so_set(observation: PastedObservation, clean: bool):
+    """In what the network sees and in the points that motion is found from; labels stay where there is depth."""
+    torch.manual_seed(0)
+    model = ContactModel(ContactConfig(model=ContactModelConfig(clean_depth=clean))).eval()
+    model.network.head[-1].bias.data[0] = 9.0  # everything is foreground
+    noisy = observation.depth + 0.003 * torch.randn(observation.depth.shape)
+    valid = torch.ones_like(observation.valid)
+    valid[..., ::4] = False
+    holed = Observation(
+        observation.rgb, torch.where(valid, noisy, 0), valid, observation.k, observation.world_from_camera
+    )
+    (image,) = model.clip_images(holed)[:1]
+    raw = unproject(holed)[0, 0, 0].numpy()
+    known = valid[0, 0, 0].numpy()
+    assert (np.abs(image.points - raw)[known].max() > 1e-3) == clean
+    assert image.mask.all() == clean
+    assert torch.equal(model.segment(holed).labels > 0, valid)
+    inputs = model.images(holed)
+    assert inputs.valid.all() == clean
 
 
 @pytest.mark.parametrize("scale", [1, 2])

@@ -106,6 +106,15 @@ def test_narrow_holes_do_not_divide_objects_and_belong_to_them_only_if_cleaned()
         assert not of_clip[0, 0][tuple(hole)].any()
 
 
+@pytest.mark.parametrize("clean", [False, True])
+def test_noise_is_smoothed_only_in_cleaned_images(clean: bool):
+    image = source([(0.0, 0.0)]).window(0, 0, 1)
+    noisy = image["depth"] + 0.002 * torch.randn(image["depth"].shape, generator=torch.Generator().manual_seed(0))
+    found = next(pseudo_scenes({**image, "depth": noisy}, **{**SETTINGS, "floor": 0.01, "clean": clean}))
+    error = np.std(found.depth - image["depth"][0, 0].numpy())
+    assert error == pytest.approx(0.001 if clean else 0.002, abs=0.0005)
+
+
 def test_clips_that_show_nothing_are_refused():
     with pytest.raises(UsageError, match="nothing more than"):
         PastedClips(source([], []), **SETTINGS, seed=0)
