@@ -28,7 +28,7 @@ LABELLED = 2.0
 TEARING = 4000.0
 """Loss of attraction by different motion, per metre of excess residual beyond that of parts that move together."""
 SLACK = 3.0
-"""Residual that parts which move together may have beyond that, in standard deviations of depth."""
+"""Excess residual that parts which move together may have beyond `TOGETHER`, in standard deviations of depth."""
 MOST_TORN = 12.0
 """Largest loss of attraction by different motion, and gain of parts that turn over together."""
 

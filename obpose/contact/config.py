@@ -5,12 +5,13 @@ from dataclasses import dataclass, field
 
 from obpose.config import Config, TrainConfig
 from obpose.config_bounds import SLOTS, TRAINING, Rule, check_bounds, check_values, expect, not_negative, positive
-from obpose.data.clean_depth import SMOOTHED
 
 LEAST_FLOOR = 0.0015
 """Height in metres above the table from which points belong to objects, for exact depth."""
 FLOOR_NOISE = 4.0
 """Height above the table from which points belong to objects, for noisy depth, in standard deviations of the noise."""
+SMOOTHED = 3.0
+"""Factor by which cleaning reduces the noise of planes (`obpose.data.clean_depth.smooth_depth`)."""
 RISE = 0.1
 """Share of the budget over which the learning rate rises. Without it, the network finds fewer borders to the end."""
 

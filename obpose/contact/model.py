@@ -80,7 +80,7 @@ class ContactModel(Trainable):
         return PastedClips(source, **settings, seed=self.config.train.seed)
 
     def images(self, observation: Observation) -> Images:
-        """Arrange the images of an observation. The depth of pasted images has been cleaned already."""
+        """Clean the depth of an observation if so set, and arrange its images. Pasted images are clean already."""
         cleaned = observation if isinstance(observation, PastedObservation) else self._cleaned(observation)
         return images_of(cleaned, center=self.center, table=self.config.model.table)
 

@@ -16,8 +16,6 @@ EXACT = 2e-4
 """Standard deviation of inverse depth, 1/m, up to which depth counts as exact: 0.2 mm at 1 m."""
 NEAR = 3.0
 """Largest difference, in standard deviations, of a pixel from the mean of two neighbours that smooth it."""
-SMOOTHED = 3.0
-"""Factor by which smoothing reduces the noise of planes: nine pixels are averaged."""
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Rows and columns from a pixel to four of its eight neighbours; the others lie opposite."""
 
@@ -76,7 +74,7 @@ def smooth_depth(
     """Average every pixel with those pairs of opposite neighbours whose mean is near its own, in inverse depth.
 
     Inverse depth is linear on planes, so that they are kept exactly, and edges are not blurred. On planes the noise
-    falls by about `SMOOTHED`.
+    falls to about a third, as nine pixels are averaged.
 
     Args:
         depth: Planar z in metres.

@@ -22,7 +22,7 @@ of 20 cm. [ours; code: more than 10 of 24^3 in a box of 40 cm]"""
 THRESHOLD = 0.5
 """sigma_T: occupancy above which a voxel belongs to the object. [code]"""
 SUNK = 0.002
-"""Depth in metres below the table's surface from which on voxels do not belong to an object. [code]"""
+"""Distance below the table's surface in metres. Voxels that are farther below belong to no object. [code]"""
 
 Codes = Float[Tensor, "batch frame slot latent"]
 

@@ -3,7 +3,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from obpose.data.clean_depth import SMOOTHED, clean_depth, depth_noise, fill_holes, inverse_depth_noise, smooth_depth
+from obpose.contact.config import SMOOTHED
+from obpose.data.clean_depth import clean_depth, depth_noise, fill_holes, inverse_depth_noise, smooth_depth
 from obpose.types import Observation
 
 NOISE = 0.002
