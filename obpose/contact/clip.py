@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int64
+from scipy.spatial import KDTree
 
 from obpose.contact.components import NEIGHBOURS, shifted
 from obpose.contact.fragments import Evidence, fragments_of, gather
@@ -31,6 +32,8 @@ SLACK = 3.0
 """Excess residual that parts which move together may have beyond `TOGETHER`, in standard deviations of depth."""
 MOST_TORN = 12.0
 """Largest loss of attraction by different motion, and gain of parts that turn over together."""
+FAR = 0.1
+"""Distance in metres within which noisy depth must show two more points of an object beside each of its points."""
 
 
 class Image(NamedTuple):
@@ -97,7 +100,8 @@ def segment_clip(
         bias: Added to the logits of affinities in single images; larger values divide less.
         gap: Largest distance in metres of neighbouring points of a new object; points of no followed object start one.
         views: Number of views.
-        noise: Standard deviation of depth, metres.
+        noise: Standard deviation of depth, metres. In noisy images, specks far from the rest of their object count as
+            background.
 
     Returns:
         Labels from 1, one for an object over time; 0 outside the masks.
@@ -125,7 +129,24 @@ def segment_clip(
     torn = np.clip(TEARING * (motion.excess - TOGETHER - SLACK * noise), 0, MOST_TORN)
     torn[(torn == 0) & motion.tumbling] = -MOST_TORN
     labels, _ = _join(labels, evidence._replace(attraction=evidence.attraction - torn), bias + caution)
+    if noise:
+        labels = [
+            np.where(_specks(cloud.points, found), -1, found) for cloud, found in zip(clouds, labels, strict=True)
+        ]
     return np.stack([label_map(image.mask, found) for image, found in zip(images, labels, strict=True)])
+
+
+def _specks(points: Float[np.ndarray, "pixel 3"], labels: Int64[np.ndarray, "pixel"]) -> Bool[np.ndarray, "pixel"]:
+    """Whether fewer than two other points of the object are within `FAR`; False where an object has fewer than three.
+
+    A noisy sensor raises single points of the table. One of them would stretch the box of an object across the table.
+    """
+    alone = np.zeros(len(labels), bool)
+    for label in np.unique(labels):
+        mine = labels == label
+        if np.count_nonzero(mine) >= 3:
+            alone[mine] = KDTree(points[mine]).query(points[mine], k=3)[0][:, 2] > FAR
+    return alone
 
 
 def _join(

@@ -115,3 +115,21 @@ def test_empty_frames_are_skipped():
     images[0] = images[0]._replace(mask=mask, pairs=nothing, embedding=np.zeros((0, 1)))
     truth[0] = 0
     assert same(segmented(images), truth)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.002])
+def test_points_far_from_their_object_are_background_if_depth_is_noisy(noise: float):
+    # One pixel of the table, far away, is taken for a piece of the ball.
+    images, truth = clip_of(paths((X, 0 * X)))
+    image, ball = images[2], truth[2] > 0
+    away = np.linalg.norm(image.points - image.points[ball].mean(axis=0), axis=-1)
+    speck = np.unravel_index(np.argmin(np.where(~ball & (away > 0.2), away, np.inf)), ball.shape)
+    mask = ball.copy()
+    mask[speck] = True
+    alike = [
+        LabelledImage(each, one.points, one.rgb, np.zeros(each.sum(), np.int64))
+        for one, each in zip(images, [*(truth[:2] > 0), mask, *(truth[3:] > 0)], strict=True)
+    ]
+    found = segmented(alike, noise=noise)
+    assert (found[2][speck] == 0) == (noise > 0)
+    assert (found[truth > 0] == 1).all()
