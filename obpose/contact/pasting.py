@@ -38,6 +38,8 @@ LARGEST_LABEL = 255
 """Further components of an image are no pseudo-objects; they lie below the others."""
 CHECKED = 32
 """Number of clips, from the first on, one of which must show pseudo-objects."""
+KEPT_BYTES = 2**30
+"""Memory for the pseudo-objects of clips that were used; the oldest are found again when they are needed."""
 IMAGES_PER_FRAME = 3.2
 """Number of pasted images for each frame of a window of `ClipsWithPasted`."""
 APART = 0.2
@@ -63,6 +65,11 @@ class PseudoScene:
     def count(self) -> int:
         """Number of pseudo-objects."""
         return int(self.labels.max())
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the images."""
+        return self.rgb.nbytes + self.depth.nbytes + self.labels.nbytes
 
     def points(self, mask: Bool[np.ndarray, "height width"]) -> Float[np.ndarray, "pixel 3"]:
         """Surface points of the pixels of a mask, world frame, metres."""
@@ -97,7 +104,17 @@ class PastedClips:
     frames_of_clip = 2**20
     """Number of different images with the background of one clip."""
 
-    def __init__(self, source: ClipSource, *, table: float, floor: float, gap: float, clean: bool, seed: int):
+    def __init__(
+        self,
+        source: ClipSource,
+        *,
+        table: float,
+        floor: float,
+        gap: float,
+        clean: bool,
+        seed: int,
+        kept_bytes: int = KEPT_BYTES,
+    ):
         """Check that the clips show objects; pseudo-objects of a clip are found when they are first used.
 
         Args:
@@ -107,11 +124,12 @@ class PastedClips:
             gap: Largest distance between neighbouring points of a pseudo-object, metres.
             clean: Whether noisy depth is smoothed and narrow holes are filled.
             seed: Seed of the images.
+            kept_bytes: Memory for the pseudo-objects of clips that were used.
 
         Raises:
             UsageError: the first clips show nothing above the table.
         """
-        self._source, self._seed = source, seed
+        self._source, self._seed, self._kept_bytes = source, seed, kept_bytes
         self._settings = {"table": table, "floor": floor, "gap": gap, "clean": clean}
         self._scenes: dict[int, PseudoScene] = {}
         if not any(self._scene(index).count for index in range(min(CHECKED, len(source)))):
@@ -154,8 +172,10 @@ class PastedClips:
         """Image of a clip that shows the most pseudo-objects."""
         if index not in self._scenes:
             window = self._source.window(index, 0, self._source.frames_of_clip)
-            scenes = pseudo_scenes(window, **self._settings)
-            self._scenes[index] = max(scenes, key=lambda scene: scene.count)
+            scene = max(pseudo_scenes(window, **self._settings), key=lambda scene: scene.count)
+            while self._scenes and (len(self._scenes) + 1) * scene.bytes > self._kept_bytes:
+                self._scenes.pop(next(iter(self._scenes)))
+            self._scenes[index] = scene
         return self._scenes[index]
 
     def pseudo_labels(self, window: Mapping[str, Tensor]) -> UInt8[np.ndarray, "frame view height width"]:

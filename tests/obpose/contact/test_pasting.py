@@ -25,8 +25,8 @@ def clips() -> ArrayClips:
     return source([(0.0, 0.0)], [(0.1, 0.1)], [(-0.15, 0.05), (0.1, -0.1)])
 
 
-def pasted(clips: ArrayClips, count: int = 20) -> list[dict[str, torch.Tensor]]:
-    made = PastedClips(clips, **SETTINGS, seed=3)
+def pasted(clips: ArrayClips, count: int = 20, **options: int) -> list[dict[str, torch.Tensor]]:
+    made = PastedClips(clips, **SETTINGS, seed=3, **options)
     return [made.window(index % len(clips), start, 1) for start, index in enumerate(range(count))]
 
 
@@ -36,6 +36,21 @@ def test_images_depend_only_on_seed_clip_and_number(clips: ArrayClips):
         assert all(torch.equal(a[name], b[name]) for a, b in zip(one, other, strict=True))
     labels = torch.stack([image["pseudo_labels"] for image in one[::3]])
     assert len(labels.unique(dim=0)) > 3
+
+
+def test_pseudo_objects_are_found_again_when_their_memory_is_used_up(clips: ArrayClips, monkeypatch):
+    scene = next(pseudo_scenes(clips.window(0, 0, 1), **SETTINGS))
+    read: list[int] = []
+    window = ArrayClips.window
+    monkeypatch.setattr(
+        ArrayClips, "window", lambda self, index, *rest: read.append(index) or window(self, index, *rest)
+    )
+    kept, images = [], []
+    for count in (len(clips), 1):
+        images.append(pasted(clips, kept_bytes=count * scene.bytes))
+        kept.append(len(read) - sum(kept))
+    assert kept[0] == len(clips) < kept[1]
+    assert all(torch.equal(a["rgb"], b["rgb"]) for a, b in zip(*images, strict=True))
 
 
 def test_objects_are_added_to_those_that_are_there(clips: ArrayClips):
