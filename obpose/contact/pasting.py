@@ -41,7 +41,7 @@ CHECKED = 32
 KEPT_BYTES = 2**30
 """Memory for the pseudo-objects of clips that were used; the oldest are found again when they are needed."""
 IMAGES_PER_FRAME = 3.2
-"""Number of pasted images for each frame of a window of `ClipsWithPasted`."""
+"""Number of pasted images, 64 pixels wide, for each frame of a window of `ClipsWithPasted`."""
 APART = 0.2
 """Probability that a place without contact is accepted."""
 
@@ -189,9 +189,14 @@ class PastedClips:
 class ClipsWithPasted:
     """Source of clips with pseudo-objects and pasted images: fields of `obpose.types.ContactObservation`."""
 
-    def __init__(self, source: ClipSource, pasted: PastedClips, *, seed: int):
-        """Combine clips and the images that are pasted from them."""
+    def __init__(self, source: ClipSource, pasted: PastedClips, *, seed: int, scale: int = 1):
+        """Combine clips and the images that are pasted from them.
+
+        Images of `scale` times 64 columns are fewer, so that a step takes as long: the number of steps matters more to
+        training than that of the images.
+        """
         self._source, self._pasted, self._seed = source, pasted, seed
+        self._images_per_frame = IMAGES_PER_FRAME / scale**2
 
     @property
     def frames_of_clip(self) -> int:
@@ -204,9 +209,8 @@ class ClipsWithPasted:
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
         """Read a window of a clip, with pasted images that depend on the seed, the clip and its start."""
         rng = training_rng(self._seed, "choice of images", index, start)
-        places = rng.integers(
-            (len(self), self._pasted.frames_of_clip), size=(round(IMAGES_PER_FRAME * frames), 2)
-        ).tolist()
+        count = max(1, round(self._images_per_frame * frames))
+        places = rng.integers((len(self), self._pasted.frames_of_clip), size=(count, 2)).tolist()
         images = [self._pasted.window(other, first, 1) for other, first in places]
         pasted = {name: torch.stack([image[name] for image in images]) for name in images[0]}
         window = self._source.window(index, start, frames)

@@ -45,6 +45,13 @@ def test_windows_depend_only_on_seed_clip_and_start(model: ContactObPose, clips:
     assert not torch.equal(one["pasted_depth"], other["pasted_depth"])
 
 
+def test_larger_images_are_fewer(clips: ArrayClips):
+    for scale, count in ((1, 6), (2, 2), (8, 1)):
+        config = SYSTEM.config("cpu", {**SMALL, "contact.image_scale": scale})
+        window = build_contact_obpose(config).training_source(clips).window(0, 0, 2)
+        assert len(window["pasted_depth"]) == count
+
+
 def test_pasted_images_become_clips_of_one_frame(model: ContactObPose, clips: ArrayClips):
     source = model.training_source(clips)
     observation = observation_of([source.window(index, 0, 3) for index in (0, 1)], ContactObservation)
