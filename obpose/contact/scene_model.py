@@ -56,7 +56,7 @@ class ContactObPose(ObPose):
 
     def training_source(self, source: ClipSource) -> ClipSource:
         """Add pseudo-objects and pasted images to clips; labels of the source are not read."""
-        scale = self.config.contact.image_scale
+        scale = self.contact.config.model.image_scale
         return ClipsWithPasted(source, self.contact.pasted_clips(source), seed=self.config.train.seed, scale=scale)
 
     def parameter_groups(self) -> list[tuple[list[nn.Parameter], float]]:
