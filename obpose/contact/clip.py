@@ -33,7 +33,7 @@ SLACK = 3.0
 MOST_TORN = 12.0
 """Largest loss of attraction by different motion, and gain of parts that turn over together."""
 FAR = 0.1
-"""Distance in metres within which noisy depth must show two more points of an object beside each of its points."""
+"""Distance in metres. In noisy images, a pixel with fewer than two others of its object so near is background."""
 
 
 class Image(NamedTuple):

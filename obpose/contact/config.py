@@ -27,7 +27,7 @@ class ContactModelConfig:
     (`obpose.data.scene_stats.measure_scene`)."""
     clean_depth: bool = False
     """Whether noisy depth is smoothed, and narrow holes are filled, in training and afterwards
-    (`obpose.data.clean_depth`)."""
+    (`obpose.data.clean_depth`). Specks far from their object then become background (`obpose.contact.clip`)."""
     gap: float = 0.06
     """Largest distance in metres between neighbouring points of a pseudo-object."""
     bias: float = 0.5
