@@ -21,9 +21,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol, TypeVar, runtime_checkable
 
-from benchmark.machine import ROOT, cores, machine_mib, resident_mib
+from benchmark.machine import cores, machine_mib, resident_mib
 from datagen.console.text import counted
 from datagen.errors import Busy
+from datagen.pipeline.parallel import environment
 
 LOGS = "logs"
 MEMORY_SHARE = 0.9
@@ -33,7 +34,6 @@ SAVING_SECONDS = 5.0
 FITTED = "fitted"
 """Event that a job may announce before its results; it does not extend the time limit."""
 _POLL_SECONDS = 0.05
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @runtime_checkable
@@ -150,7 +150,7 @@ def run_isolated(job: Runnable, limits: Limits, stop: threading.Event, on_event:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,
-            env=_environment(limits.threads),
+            env=environment(limits.threads),
             start_new_session=True,
         )
         try:
@@ -255,9 +255,3 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-
-
-def _environment(threads: int) -> dict[str, str]:
-    """Environment of the process: the import paths of this one, and the given number of threads."""
-    paths = os.pathsep.join(dict.fromkeys([str(ROOT), *filter(None, sys.path)]))
-    return {**os.environ, "PYTHONPATH": paths, **dict.fromkeys(_THREADS, str(threads))}

@@ -1,17 +1,19 @@
-"""Make or check scenes in several processes, and yield the results in order."""
+"""Make or check scenes in several processes, and yield the results in order.
+
+Each worker has a socket of its own. The pools of joblib and the standard library share one pipe for all results: if a
+worker is killed while it sends one, they wait forever for the rest of it.
+"""
 
 import os
-import signal
+import queue
+import subprocess
 import sys
-import warnings
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
-from multiprocessing import resource_tracker
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing, contextmanager, suppress
+from multiprocessing.connection import Connection, Pipe
 from typing import Any, TypeVar
-
-from joblib import Parallel, delayed, parallel_config
-from joblib.externals.loky.backend import resource_tracker as loky_tracker
-from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from datagen.console import interrupts
 from datagen.errors import DatagenError
@@ -19,9 +21,23 @@ from datagen.errors import DatagenError
 Place = TypeVar("Place")
 Made = TypeVar("Made")
 
+_AHEAD = 2
+"""Results per worker that may wait for the caller."""
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
 
 def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Place]], workers: int) -> Generator[Made]:
-    """Call `make`, which must be picklable, on splits and indices; yields the results in their order."""
+    """Call `make` on splits and indices; yields the results in their order.
+
+    Args:
+        make: A picklable function. Other processes import its module by name.
+        scenes: Splits and indices.
+        workers: Number of processes; with one, or fewer than three scenes, this process makes all.
+
+    Raises:
+        DatagenError: a worker died.
+        Exception: whatever `make` raises.
+    """
     if workers == 1 or len(scenes) < 3:
         for scene in scenes:
             interrupts.check()
@@ -30,55 +46,79 @@ def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Pla
     # The first scene compiles and caches the renderer, so that the workers do not all compile it.
     yield make(*scenes[0])
     interrupts.check()
-    with parallel_config(backend="loky", inner_max_num_threads=1, initializer=_become_worker, initargs=(os.getpid(),)):
-        pool: Any = Parallel(
-            n_jobs=min(workers, len(scenes) - 1),
-            batch_size=1,  # pyright: ignore[reportArgumentType]  # joblib takes numbers too
-            return_as="generator",
-            max_nbytes=None,
-        )
-    with _silent_trackers(), interrupts.held():
-        made = pool(delayed(make)(*scene) for scene in scenes[1:])
-    try:
-        for scene in made:  # `yield from` would close it before the warnings are disabled
-            interrupts.check()
-            yield scene
-    except TerminatedWorkerError:
-        raise DatagenError(
-            "A worker process died, perhaps because memory ran out. Finished shards are intact; "
-            "run the same command again, perhaps with fewer --workers."
-        ) from None
-    finally:
-        _stop(made)
+    workers = min(workers, len(scenes) - 1)
+    with _started_workers(make, workers) as ask:
+        pending: deque[Future[Made]] = deque()
+        for scene in scenes[1:]:
+            pending.append(ask(scene))
+            if len(pending) == _AHEAD * workers:
+                yield _result(pending.popleft())
+        while pending:
+            yield _result(pending.popleft())
+
+
+def environment(threads: int) -> dict[str, str]:
+    """Environment of a worker: the import paths of this process, and the given number of threads."""
+    paths = os.pathsep.join(map(os.path.abspath, sys.path))
+    return {**os.environ, "PYTHONPATH": paths, **dict.fromkeys(_THREADS, str(threads))}
 
 
 @contextmanager
-def _silent_trackers() -> Iterator[None]:
-    """Start joblib's resource trackers with their warnings disabled.
+def _started_workers(make: Callable[..., Any], count: int) -> Iterator[Callable[[tuple[str, Any]], "Future[Any]"]]:
+    """Start workers, give a function that has the next free one make a scene, and kill them at the end."""
+    processes: list[subprocess.Popen[bytes]] = []
+    free: queue.SimpleQueue[Connection] = queue.SimpleQueue()
 
-    After Ctrl-C they would warn of leaked semaphores or folders, although they remove them.
-    """
-    sys.warnoptions.append("ignore:resource_tracker:UserWarning")  # handed to every process that is started
-    try:
-        loky_tracker.ensure_running()
-        resource_tracker.ensure_running()  # when it starts, it lets Ctrl-C through again
-        yield
-    finally:
-        sys.warnoptions.pop()
+    def ask(scene: tuple[str, Any]) -> Any:
+        connection = free.get()
+        try:
+            connection.send(scene)
+            made, error = connection.recv()
+        except (EOFError, OSError):
+            raise DatagenError(
+                "A worker process died, perhaps because memory ran out. Finished shards are intact; "
+                "run the same command again, perhaps with fewer --workers."
+            ) from None
+        finally:
+            free.put(connection)
+        if error:
+            raise error
+        return made
+
+    # A thread for each worker receives its results while the caller is busy.
+    with ThreadPoolExecutor(count) as threads:
+        try:
+            with interrupts.held():
+                for _ in range(count):
+                    process, connection = _start(make)
+                    processes.append(process)
+                    free.put(connection)
+            yield lambda scene: threads.submit(ask, scene)
+        finally:
+            for process in processes:
+                process.kill()
+            threads.shutdown(cancel_futures=True)
+            for process in processes:
+                process.wait()
+            while not free.empty():
+                free.get().close()
 
 
-def _stop(made: Generator[Any]) -> None:
-    """Stop the workers, without joblib's warning about unused results."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        made.close()
+def _start(make: Callable[..., Any]) -> tuple[subprocess.Popen[bytes], Connection]:
+    ours, theirs = Pipe()
+    with closing(theirs):
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "datagen.pipeline.worker", str(theirs.fileno()), str(os.getpid())],
+            stdin=subprocess.DEVNULL,
+            env=environment(threads=1),
+            pass_fds=[theirs.fileno()],
+        )
+    with suppress(OSError):  # it has died, which is noticed when it is asked for a scene
+        ours.send(make)
+    return process, ours
 
 
-def _become_worker(parent: int) -> None:
-    """Ignore Ctrl-C, which the parent handles, and exit when the parent is gone, even if it was killed.
-
-    This runs before a worker waits for its first task. Otherwise a worker whose parent was killed would wait for
-    minutes, or forever if the parent held a lock, and keep the parent's output pipes open.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    interrupts.end_with(parent)
+def _result(future: "Future[Made]") -> Made:
+    made = future.result()
+    interrupts.check()
+    return made

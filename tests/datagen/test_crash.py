@@ -124,7 +124,7 @@ def test_a_full_disk_is_one_line_and_leaves_finished_shards_intact(tmp_path, who
 def test_a_worker_that_is_killed_is_one_line_and_the_run_can_be_completed(tmp_path, whole):
     process = start(tmp_path, "--workers", 2, *LONG)
     wait_for(tmp_path, "train-*.h5")
-    worker = next(child for child in descendants(process.pid) if b"LokyProcess" in command_line(child))
+    worker = next(child for child in descendants(process.pid) if b"datagen.pipeline.worker" in command_line(child))
     os.kill(worker, signal.SIGKILL)
     errors = errors_at_end(process)
     assert process.returncode == EXIT_INCOMPLETE

@@ -14,6 +14,15 @@ from tests.processes import wait_until
 SHOWN = "document.querySelector('canvas') && document.body.innerText.includes('after the last change')"
 BUTTON = "[...document.querySelectorAll('button')].filter(found => found.innerText.trim() == {label!r})[{place}]"
 
+CENTER = """(() => {{
+    const found = {button};
+    if (!found || found.disabled) return null;
+    found.scrollIntoView({{block: 'nearest'}});
+    const box = found.getBoundingClientRect(), center = [box.x + box.width / 2, box.y + box.height / 2];
+    return found.contains(document.elementFromPoint(...center)) && center;
+}})()"""
+"""Center of a button, or nothing while it cannot be clicked."""
+
 ARC = 0.65
 """Radius of viser's arcs, in the scale of the gizmo."""
 
@@ -44,13 +53,14 @@ class User:
         time.sleep(1.0)
 
     def press(self, label: str, place: int = 0) -> None:
-        """Click a button; `place` chooses between several with this label."""
-        button = BUTTON.format(label=label, place=place)
-        x, y = self.tab.evaluate(
-            f"(() => {{ const found = {button}; found.scrollIntoView({{block: 'nearest'}}); "
-            "const box = found.getBoundingClientRect(); return [box.x + box.width / 2, box.y + box.height / 2]; })()"
-        )
-        self.tab.click(x, y)
+        """Click a button once it is enabled and rests; `place` chooses between several with this label."""
+        center = CENTER.format(button=BUTTON.format(label=label, place=place))
+        previous = None
+        # Buttons move while pictures above them load; a click at their last place would miss.
+        while (now := self.tab.wait(center)) != previous:
+            previous = now
+            time.sleep(0.3)
+        self.tab.click(*now)
 
     def slide(self, share: float) -> None:
         """Click the slider of frames at this share of its width."""

@@ -116,6 +116,7 @@ def test_an_object_is_turned_and_hidden(page: Page, tmp_path: Path):
         wait_until(lambda: not page.session.hidden, what="the object to be shown again")
         # On a busy machine, shapes may appear later than pictures, also in the picture taken before.
         wait_until(lambda: differs(seen(user, tmp_path / "back.png"), hidden), what="the object to be seen again")
+        user.settle()
 
         user.press("Undo")
         wait_until(lambda: not page.session.can_undo, what="the turn to be undone")
