@@ -76,6 +76,12 @@ def test_what_is_wrong_with_a_scene_is_told_instead_of_it(workers: int, least: i
     assert places(made) == [f"train {index}" for index in range(len(made))]
 
 
+def test_errors_name_the_line_of_the_worker():
+    with pytest.raises(UsageError) as raised:
+        list(make_all(Maker(wrong=5), SCENES, 2))
+    assert "in __call__" in raised.value.__notes__[0]
+
+
 def test_a_worker_that_dies_is_one_clear_error_and_the_next_run_works():
     with pytest.raises(DatagenError, match=r"worker process died.*same command again"):
         list(make_all(Maker(fatal=7), SCENES, 2))
