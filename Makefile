@@ -59,7 +59,7 @@ test: .venv/.dev
 	$(BIN)/python -m pytest $(BESIDE)
 
 test-slow: .venv/.dev
-	$(BIN)/python -m pytest $(BESIDE) -m slow
+	$(BIN)/python -m pytest $(BESIDE) -m slow --durations=10
 
 check: .venv/.dev
 	$(BIN)/ruff format --check .
