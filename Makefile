@@ -35,7 +35,7 @@ export OPENBLAS_NUM_THREADS := 1
 # Tests start many processes, and without cached bytecode each of them compiles all modules.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-slow check bench docs clean
+.PHONY: demo test test-slow test-learning check bench docs clean
 
 demo: .venv/.core
 	$(BIN)/obpose-datagen --video --scenes 100 --resolution 64x64 --out demo/moving
@@ -53,13 +53,16 @@ demo: .venv/.core
 # Files are spread over processes, each whole, as its tests share what they made. tests/conftest.py decides their order.
 BESIDE := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --benchmark-disable
 # Processes with several threads each slow each other down threefold.
-test test-slow: export OMP_NUM_THREADS := 1
+test test-slow test-learning: export OMP_NUM_THREADS := 1
 
 test: .venv/.dev
 	$(BIN)/python -m pytest $(BESIDE)
 
 test-slow: .venv/.dev
 	$(BIN)/python -m pytest $(BESIDE) -m slow --durations=10
+
+test-learning: .venv/.dev
+	$(BIN)/python -m pytest $(BESIDE) -m learning --durations=10
 
 check: .venv/.dev
 	$(BIN)/ruff format --check .

@@ -1,8 +1,8 @@
-"""Each system learns to tell two objects apart from each other and from the table, in about a minute.
+"""Each system learns to tell two objects apart from each other and from the table.
 
 Boxes, or labels, tell two objects apart in a single scene. Fields that fill the world explain both of them at once
 just as well; only where they have to explain several scenes is there something to be gained by one slot for each. The
-IC-SBP, which has no background either, takes longest, about two minutes.
+IC-SBP, which has no background either, takes longest.
 """
 
 from dataclasses import fields
@@ -69,7 +69,7 @@ _SEEDS = 4
 keeps both objects in one slot with some seeds."""
 
 
-@pytest.mark.slow
+@pytest.mark.learning
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize(
     ("system", "changes", "count", "steps", "least"),
@@ -94,7 +94,7 @@ def test_two_objects_are_told_apart(system: str, changes: dict[str, Any], count:
     pytest.fail(f"Of {_SEEDS} seeds none tells them apart: {tries}.")
 
 
-@pytest.mark.slow
+@pytest.mark.learning
 @pytest.mark.timeout(900)
 def test_slot_attention_tells_objects_apart_that_stand_anywhere():
     """Objects stand anywhere, so that a fixed division of the table does not suffice."""
