@@ -52,7 +52,7 @@ demo: .venv/.core
 
 # Files are spread over processes, each whole, as its tests share what they made. tests/conftest.py decides their order.
 BESIDE := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --benchmark-disable
-# Processes with several threads each slow each other down threefold.
+# One thread per process: processes with several threads slow each other down.
 test test-slow test-learning: export OMP_NUM_THREADS := 1
 
 test: .venv/.dev

@@ -102,7 +102,7 @@ def send_and_die(split: str, index: int) -> object:
 
 
 def test_a_worker_that_dies_while_it_sends_is_noticed_too():
-    """Another worker is alive, which keeps a pipe open that both share."""
+    """If workers shared a pipe, the other one would keep it open, and the parent would wait forever."""
     with pytest.raises(DatagenError, match="worker process died"):
         list(make_all(send_and_die, SCENES, 2))
 
