@@ -125,11 +125,11 @@ def _markdown_table(entries: Sequence[Entry]) -> str:
 
 def screen_table(entries: Sequence[Entry]) -> Table:
     """Format the means for the terminal."""
-    table = Table("track", "edit", "picture", *SHOWN.values(), "not found", box=None)
+    table = Table("track", "edit", "picture", "scenes", *SHOWN.values(), "not found", box=None)
     for entry in entries:
         means = (_number(name, entry.metrics[name].mean) for name in METRICS)
         names = map(terminal, (entry.track, entry.edit, _label(entry)))
-        table.add_row(*names, *means, _not_found(entry))
+        table.add_row(*names, str(entry.scenes), *means, _not_found(entry))
     return table
 
 

@@ -1,6 +1,7 @@
 import csv
 import io
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -62,10 +63,9 @@ def test_suffixes_of_names_are_explained():
     assert "\n-refined in a name: scenes were fitted to their frames before the edit." in page
 
 
-def test_names_in_brackets_are_shown_as_they_are():
+def test_the_terminal_shows_numbers_of_scenes_and_names_in_brackets():
+    named = [line(scene, 0.5) | {"model": "c[e]", "track": "[red]data"} for scene in range(37)]
     console = Console(width=200, file=io.StringIO())
-    named = {**line(0, 0.5), "model": "c[e]", "track": "[red]data"}
-    console.print(summary.screen_table(summary.summaries([named])))
+    console.print(summary.screen_table(summary.summaries(named)))
     shown = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
-    assert "c[e], edit" in shown
-    assert "[red]data" in shown
+    assert re.search(r"\[red\]data +remove +c\[e\], edit +37 ", shown)
