@@ -13,7 +13,7 @@ from statistics import median
 import torch
 
 from obpose.contact.pasting import IMAGES_PER_FRAME
-from obpose.systems import SYSTEMS
+from obpose.systems import SYSTEMS, build_model
 from obpose.training.devices import keep_memory, make_fabric
 from obpose.training.learner import Learner
 from obpose.types import ContactObservation, LabelledObservation, PastedObservation
@@ -46,7 +46,7 @@ def cost_of(name: str) -> Cost:
         "model.spacing": 0.012,
     }
     config = system.config("cpu", system.known(measured))
-    learner = Learner(make_fabric("cpu", config.train), config, system.architecture.build)
+    learner = Learner(make_fabric("cpu", config.train), config, build_model)
     frames = min(FRAMES, config.train.frames)
     clips = config.train.batch * (config.train.frames // frames)
     seen = table_scene(batch=clips, frames=frames, height=SIZE, width=SIZE, spheres=OBJECTS)

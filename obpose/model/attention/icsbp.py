@@ -209,7 +209,7 @@ class ICSBP(Attention):
         # Densest: candidates are the points with the largest scope, and count if it is over the threshold.
         best = log_scope.topk(min(_CANDIDATES, log_scope.shape[-1]), dim=-1)
         around = self._log_alpha_at(_pick(colour, best.indices), colour) + log_scope[:, None]
-        density = around.exp().sum(dim=-1) * (best.values > math.log(INACTIVE_SCOPE))
+        density = _exp(around).sum(dim=-1) * (best.values > math.log(INACTIVE_SCOPE))
         return best.indices.gather(1, density.argmax(dim=-1, keepdim=True))
 
     def _is_active(
