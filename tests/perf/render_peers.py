@@ -6,12 +6,13 @@ They do not do the same work: shadows are hard or absent, edges are anti-aliased
 import os
 from collections.abc import Callable
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
 
 from datagen.render import make_renderer
-from datagen.render.renderer import light_axes
+from datagen.render.renderer import PathTracer, light_axes
 from datagen.scene import Material, Scene
 from datagen.shapes.shape import Shape
 from tests.worlds.handmade import FRONT, poses
@@ -23,6 +24,7 @@ MITSUBA_SAMPLES = 16
 def mitsuba(scene: Scene, shapes: list[Shape], size: int) -> Frame:
     """The renderer `mitsuba` of this package: path tracing, with 16 paths per pixel; labels by the rasteriser."""
     renderer, at = make_renderer("mitsuba", samples=MITSUBA_SAMPLES), poses(scene)
+    assert isinstance(renderer, PathTracer)
     renderer.load(scene, shapes)
 
     def frame() -> Any:
@@ -133,11 +135,11 @@ class PyrenderPeer:
         return frame
 
     def _two_passes(self, world: Any, ids: dict[Any, int], flags: int) -> Any:
-        np.infty = np.inf  # noqa: NPY201
         colors = {node: (number, 0, 0) for node, number in ids.items()}
-        segmented = self._context.render(world, flags=self._p.RenderFlags.SEG, seg_node_map=colors)
-        shaded = self._context.render(world, flags=flags)
-        del np.infty  # noqa: NPY201
+        # pyrender uses a name that NumPy 2 does not have.
+        with mock.patch.object(np, "infty", np.inf, create=True):
+            segmented: Any = self._context.render(world, flags=self._p.RenderFlags.SEG, seg_node_map=colors)
+            shaded: Any = self._context.render(world, flags=flags)
         return shaded[0], *segmented
 
     def _scene(self, scene: Scene, shapes: list[Shape]) -> tuple[Any, dict[Any, int]]:

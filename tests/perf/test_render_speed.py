@@ -30,13 +30,15 @@ GOALS = {
 """Least ratio of the rasteriser's speed to each peer's, by name and size. MuJoCo has the goal 1.5, missed from 512 on:
 docs/performance.md."""
 
+World = tuple[Scene, list[Shape]]
+
 medians: dict[tuple[str, int], float] = {}
 sizes = pytest.mark.parametrize("size", [128, 512, 1024])
 render = pytest.mark.benchmark(group="render", timer=time.process_time)
 
 
 @pytest.fixture(scope="module")
-def world() -> tuple[Scene, list[Shape]]:
+def world() -> World:
     scene = six_objects()
     return scene, [build(body.shape) for body in scene.bodies]
 
@@ -49,7 +51,7 @@ def measure(benchmark: Any, name: str, frame: Frame, size: int, rounds: int) -> 
 
 @sizes
 @render
-def test_raster(benchmark, world, size):
+def test_raster(benchmark: Any, world: World, size: int):
     scene, shapes = world
     renderer, at = make_renderer("raster"), poses(scene)
     renderer.load(scene, shapes)
@@ -57,7 +59,7 @@ def test_raster(benchmark, world, size):
 
 
 @pytest.mark.parametrize("size", [128, 512])
-def test_rich_images_take_at_most_15_percent_longer(world, size):
+def test_rich_images_take_at_most_15_percent_longer(world: World, size: int):
     """The recipe clevr3d's kind of scene: six objects, half of them metal."""
     scene, shapes = world
     shiny = [
@@ -82,7 +84,7 @@ def test_rich_images_take_at_most_15_percent_longer(world, size):
 
 @sizes
 @render
-def test_pyrender_rebuilt(benchmark, world, size):
+def test_pyrender_rebuilt(benchmark: Any, world: World, size: int):
     require("pyrender")
     frame = render_peers.PyrenderPeer(size).rebuilt(*world)
     measure(benchmark, "pyrender, scene rebuilt each frame", frame, size, 20)
@@ -90,7 +92,7 @@ def test_pyrender_rebuilt(benchmark, world, size):
 
 @sizes
 @render
-def test_pyrender_kept_with_shadow(benchmark, world, size):
+def test_pyrender_kept_with_shadow(benchmark: Any, world: World, size: int):
     require("pyrender")
     frame = render_peers.PyrenderPeer(size).kept(*world)
     measure(benchmark, "pyrender, scene kept, shadow", frame, size, 20)
@@ -98,7 +100,7 @@ def test_pyrender_kept_with_shadow(benchmark, world, size):
 
 @sizes
 @render
-def test_tiny_renderer_with_shadow(benchmark, world, size):
+def test_tiny_renderer_with_shadow(benchmark: Any, world: World, size: int):
     pybullet = pytest.importorskip("pybullet", reason="TinyRenderer is part of PyBullet")
     frame, client = render_peers.tiny(pybullet, *world, size)
     measure(benchmark, "PyBullet TinyRenderer, shadow", frame, size, 20)
@@ -107,19 +109,19 @@ def test_tiny_renderer_with_shadow(benchmark, world, size):
 
 @sizes
 @render
-def test_open3d(benchmark, world, size):
+def test_open3d(benchmark: Any, world: World, size: int):
     measure(benchmark, "Open3D, one ray, hard shadow", render_peers.open3d(*world, size), size, 20)
 
 
 @sizes
 @render
-def test_mujoco(benchmark, world, size):
+def test_mujoco(benchmark: Any, world: World, size: int):
     measure(benchmark, MUJOCO, render_peers.mujoco(*world, size), size, 20)
 
 
 @sizes
 @render
-def test_mitsuba(benchmark, world, size):
+def test_mitsuba(benchmark: Any, world: World, size: int):
     require("mitsuba")
     frame = render_peers.mitsuba(*world, size)
     measure(benchmark, f"Mitsuba, {render_peers.MITSUBA_SAMPLES} paths", frame, size, 3)

@@ -37,7 +37,7 @@ class Counter(TorchDispatchMode):
 
 def main() -> None:
     """Print steps, clips and operations per second, and the peak."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--variant", default="obpose")
     parser.add_argument("--profile", choices=("cpu", "gpu"), default="gpu")
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cuda")
@@ -85,7 +85,7 @@ def matrix_rate(device: str, dtype: torch.dtype) -> float:
     """Floating-point operations per second of a large matrix product."""
     side = PEAK if device == "cuda" else PEAK // 4
     a, b = (torch.randn(side, side, device=device, dtype=dtype) for _ in range(2))
-    a @ b
+    torch.matmul(a, b)  # warm-up
     return 10 * 2 * side**3 / timed(lambda: [a @ b for _ in range(10)], device)
 
 
