@@ -22,6 +22,8 @@ from obpose.training.loop import train
 from obpose.types import Observation
 from tests.worlds.observations import balls_in_depth, pairs_of_balls
 
+pytestmark = [pytest.mark.learning, pytest.mark.timeout(900)]
+
 SMALL: dict[str, Any] = {
     "model.slots": 1,
     "model.encoder.width": 16,
@@ -74,7 +76,6 @@ class Balls:
         return {name: value[index] for name, value in vars(self.clips).items()}
 
 
-@pytest.mark.slow
 def test_no_plane_tells_balls_in_depth_apart():
     """A fixed division of the table cannot solve these scenes."""
     assert best_plane(balls_in_depth) < 0.95
@@ -90,8 +91,6 @@ def best_plane(world: Callable[..., tuple[Observation, torch.Tensor]]) -> float:
     return max(scores(truth, side * (truth > 0)).mean() for side in sides)
 
 
-@pytest.mark.learning
-@pytest.mark.timeout(900)
 def test_two_balls_are_not_one():
     """By the system with every term of the loss, and by the one with the fewest."""
     variants = ("obsurf", "obsurf-no-overlap-depth")
