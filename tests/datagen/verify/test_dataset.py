@@ -17,7 +17,7 @@ from datagen.storage import spec
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import pack
 from datagen.verify.dataset import find
-from tests.processes import command_line, descendants, errors_at_end, wait_until, wait_until_gone
+from tests.processes import command_line, descendants, errors_at_end, wait_until_gone
 from tests.worlds import rendered
 from tests.worlds.rendered import change_scene
 
@@ -185,20 +185,20 @@ def test_another_data_version_is_refused(plain: Path):
 @pytest.mark.slow
 def test_workers_do_not_outlive_a_verification_that_is_killed(plain: Path):
     program = (
-        "import sys; from datagen.verify import dataset; dataset.SCENES_PER_JOB = 1\n"
-        "while True: dataset.find(sys.argv[1], workers=2)"
+        "import sys, time; from datagen.verify import dataset; dataset.SCENES_PER_JOB = 1\n"
+        # The first result is made without workers.
+        "def wait_in_the_middle(results, *_): next(results), next(results), print('two', flush=True), time.sleep(600)\n"
+        "dataset.tracked = wait_in_the_middle\n"
+        "dataset.find(sys.argv[1], workers=2)"
     )
-    process = subprocess.Popen([sys.executable, "-c", program, str(plain)], stderr=subprocess.PIPE)
-    wait_until(lambda: len(workers_of(process)) == 2, what="two workers")
-    workers = workers_of(process)
+    process = subprocess.Popen([sys.executable, "-c", program, str(plain)], stdout=subprocess.PIPE)
+    assert process.stdout
+    assert process.stdout.readline() == b"two\n"
+    workers = {child: command_line(child) for child in descendants(process.pid)}
+    assert len(workers) == 2
     process.kill()
     errors_at_end(process)
     wait_until_gone(workers)
-
-
-def workers_of(process: subprocess.Popen[bytes]) -> dict[int, bytes]:
-    lines = {child: command_line(child) for child in descendants(process.pid)}
-    return {child: line for child, line in lines.items() if b"pipeline.worker" in line}
 
 
 def test_a_folder_without_dataset_is_the_user_s_error(tmp_path: Path):
