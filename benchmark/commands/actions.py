@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
@@ -16,16 +17,18 @@ from benchmark.execution.plan import Plan, check_places, estimate, make_plan, su
 from benchmark.models.registry import GROUPS, discover
 from benchmark.ranking import compare as paired
 from benchmark.ranking import pack as packing
-from benchmark.ranking.manifest import commands_of
+from benchmark.ranking.leaderboard import FILES
+from benchmark.ranking.manifest import MANIFEST, commands_of
 from benchmark.ranking.text import terminal
+from benchmark.report.page import REPORT
 from benchmark.results import scoring as rescoring
 from benchmark.results.packed_runs import refuse_packed
-from benchmark.results.run_folder import RunRow, check_runs, delete_rows, load_runs
+from benchmark.results.run_folder import RUNS, RunRow, check_runs, delete_rows, load_runs
 from benchmark.results.scoring import SPLIT
 from datagen import tracks
 from datagen.console.progress import progress_bar, status_console, tracked
 from datagen.console.text import counted
-from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_VERIFICATION
+from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_VERIFICATION, UsageError
 from datagen.storage.atomic import remove_abandoned
 from datagen.tracks import SIZES, Profile, all_tracks
 
@@ -36,6 +39,7 @@ def run(values: arguments.Run) -> int:
         _print_lists(values.profile)
         return EXIT_OK
     refuse_packed(values.out)
+    _refuse_foreign(values.out)
     request = request_of(values)
     if values.task == "editing":
         return score_edits(values, request)
@@ -103,6 +107,20 @@ def selftest(_values: arguments.Selftest) -> int:
     found = f"{counted(len(wrong), 'value')} differ from what was expected" if wrong else "all hold"
     console.print(f"{counted(cases, 'golden case')}: {found}.")
     return EXIT_VERIFICATION if wrong else EXIT_OK
+
+
+def _refuse_foreign(folder: Path) -> None:
+    """Check that no file of somebody else would be overwritten.
+
+    Raises:
+        UsageError: the folder holds a file with the name of a table or report, but no rows.
+    """
+    taken = [name for name in (*FILES, MANIFEST, REPORT) if (folder / name).exists()]
+    if taken and not (folder / RUNS).is_dir():
+        raise UsageError(
+            f"{folder} holds {taken[0]}, which would be overwritten, and no rows of a benchmark. Give another --out, "
+            "or move the file."
+        )
 
 
 def _make_room(values: arguments.Run, plan: Plan, rows: list[RunRow]) -> list[RunRow]:

@@ -17,6 +17,8 @@ from benchmark.results.run_folder import check_runs
 from datagen.console.text import counted
 from datagen.storage.atomic import write_atomically
 
+REPORT = "report.html"
+"""File name of the report of a run folder."""
 LARGEST = 14_000_000
 """Largest size of a page in bytes; reports with many models have fewer pictures."""
 
@@ -53,8 +55,8 @@ def write(
         page = template.render(_with_pictures(common, folder, tracks, limits)).encode()
         if len(page) <= largest:
             break
-    write_atomically(folder / "report.html", page)
-    return folder / "report.html"
+    write_atomically(folder / REPORT, page)
+    return folder / REPORT
 
 
 def model_names(results: Sequence[ModelResult]) -> list[str]:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int64
 from scipy.spatial import KDTree
 
 from obpose.contact.components import NEIGHBOURS, shifted
-from obpose.contact.fragments import Evidence, fragments_of, gather
+from obpose.contact.fragments import Evidence, Labels, fragments_of, gather
 from obpose.contact.grouping import Pairs, group
 from obpose.contact.motion.key_frames import evenly_spread
 from obpose.contact.motion.rigidity import TOGETHER, common_motion
@@ -22,8 +22,8 @@ from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, track
 FINER = 1.5
 """Subtracted from the bias for the finer of the two groupings of key frames."""
 CAUTION = 0.75
-"""Subtracted from the bias for joining parts before motion is considered, and added to it afterwards, for ten images:
-errors of single images cancel, so that fewer divisions are wrong. It is 0 for one image."""
+"""Subtracted from attractions when parts are joined before motion is considered, and added to them afterwards, for ten
+images: errors of single images cancel, so that fewer divisions are wrong. It is 0 for one image."""
 LABELLED = 2.0
 """Logit of whether two pixels with the same label belong together; its negative for different labels."""
 TEARING = 4000.0
@@ -32,6 +32,8 @@ SLACK = 3.0
 """Excess residual that parts which move together may have beyond `TOGETHER`, in standard deviations of depth."""
 MOST_TORN = 12.0
 """Largest loss of attraction by different motion, and gain of parts that turn over together."""
+MOST_OBJECTS = 255
+"""Smaller objects beyond this number become background: label images have 8 bits."""
 FAR = 0.1
 """Distance in metres. In noisy images, a pixel with fewer than two others of its object so near is background."""
 
@@ -104,12 +106,34 @@ def segment_clip(
             background.
 
     Returns:
-        Labels from 1, one for an object over time; 0 outside the masks.
+        Labels from 1 to at most `MOST_OBJECTS`, one for an object over time; 0 outside the masks.
     """
     clouds = [Cloud(image.points[image.mask], COLOUR_SCALE * image.rgb[image.mask]) for image in images]
     keys = evenly_spread(clouds)
-    if not keys:
-        return np.stack([label_map(image.mask, image.groups(bias)) for image in images])
+    labels = (
+        _decide(images, clouds, keys, bias=bias, gap=gap, views=views, noise=noise)
+        if keys
+        else [image.groups(bias) for image in images]
+    )
+    if noise:
+        labels = [
+            np.where(_specks(cloud.points, found), -1, found) for cloud, found in zip(clouds, labels, strict=True)
+        ]
+    labels = _largest(labels)
+    return np.stack([label_map(image.mask, found) for image, found in zip(images, labels, strict=True)])
+
+
+def _decide(
+    images: Sequence[Image] | Sequence[LabelledImage],
+    clouds: Sequence[Cloud],
+    keys: Sequence[int],
+    *,
+    bias: float,
+    gap: float,
+    views: int,
+    noise: float,
+) -> Labels:
+    """Label the objects of a clip, from 0, by following the groups of its key frames; see `segment_clip`."""
     coarse = {key: images[key].groups(bias) for key in keys}
     fine = {key: images[key].groups(bias - FINER) for key in keys}
     candidates = [track(clouds, key, coarse[key], gap) for key in keys]
@@ -122,18 +146,23 @@ def segment_clip(
     caution = CAUTION * (1 - len(images) ** -0.5) / (1 - 10**-0.5)
     # Join fragments that the network joins in most images.
     labels, shared = fragments_of(candidates)
-    evidence = gather(labels, shared, [image.pairs for image in images])
-    labels, evidence = _join(labels, evidence, bias - caution)
+    evidence = gather(labels, shared, [image.pairs for image in images], bias=bias)
+    labels, evidence = _join(labels, evidence, -caution)
     # Join larger parts unless they move apart, and those that turn over together.
     motion = common_motion(clouds, labels, views=views)
     torn = np.clip(TEARING * (motion.excess - TOGETHER - SLACK * noise), 0, MOST_TORN)
     torn[(torn == 0) & motion.tumbling] = -MOST_TORN
-    labels, _ = _join(labels, evidence._replace(attraction=evidence.attraction - torn), bias + caution)
-    if noise:
-        labels = [
-            np.where(_specks(cloud.points, found), -1, found) for cloud, found in zip(clouds, labels, strict=True)
-        ]
-    return np.stack([label_map(image.mask, found) for image, found in zip(images, labels, strict=True)])
+    return _join(labels, evidence._replace(attraction=evidence.attraction - torn), caution)[0]
+
+
+def _largest(labels: Labels) -> Labels:
+    """Number the `MOST_OBJECTS` largest objects of a clip from 0; the others become background, -1."""
+    sizes = np.bincount(np.concatenate(labels) + 1)[1:]
+    if len(sizes) <= MOST_OBJECTS:
+        return labels
+    new = np.full(len(sizes) + 1, -1)  # the last place is that of -1
+    new[np.sort(np.argsort(-sizes, kind="stable")[:MOST_OBJECTS])] = np.arange(MOST_OBJECTS)
+    return [new[found] for found in labels]
 
 
 def _specks(points: Float[np.ndarray, "pixel 3"], labels: Int64[np.ndarray, "pixel"]) -> Bool[np.ndarray, "pixel"]:
@@ -149,9 +178,7 @@ def _specks(points: Float[np.ndarray, "pixel 3"], labels: Int64[np.ndarray, "pix
     return alone
 
 
-def _join(
-    labels: list[Int64[np.ndarray, "_"]], evidence: Evidence, bias: float
-) -> tuple[list[Int64[np.ndarray, "_"]], Evidence]:
+def _join(labels: Labels, evidence: Evidence, offset: float) -> tuple[Labels, Evidence]:
     """Join fragments, and their evidence."""
-    segments = evidence.segments(bias)
+    segments = evidence.segments(offset)
     return [segments[found] for found in labels], evidence.joined(segments)

@@ -12,6 +12,8 @@ from obpose.contact.linkage import average_linkage
 AGREEMENT, DISTANT_AGREEMENT = 1.0, 2.0
 """Attraction of two fragments that all labellings join, and repulsion of those that all divide: per pair of pixels with
 an affinity, and in the term of `OVER_TIME`."""
+MOST_DISTANT_BIAS = 0.5
+"""Upper limit of the bias in the term of `OVER_TIME`: a larger one would join distant objects."""
 OVER_TIME = 0.1
 """Weight of the labellings' agreement about two fragments that need not be neighbours in any image, per pixel of the
 smaller one: it joins the parts of an object that are visible at different times."""
@@ -30,11 +32,11 @@ class Evidence(NamedTuple):
     weight: Float[np.ndarray, "fragment fragment"]
     """Weight of each pair, symmetric; 0 on the diagonal."""
 
-    def segments(self, bias: float) -> Int64[np.ndarray, "fragment"]:
-        """Join fragments by average linkage; larger biases divide less."""
+    def segments(self, offset: float) -> Int64[np.ndarray, "fragment"]:
+        """Join fragments by average linkage; `offset` is added to every attraction, so that larger ones divide less."""
         pairs = np.stack(np.nonzero(np.triu(self.weight, 1)))
         known = tuple(pairs)
-        return average_linkage(len(self.weight), pairs, self.attraction[known] + bias, self.weight[known])
+        return average_linkage(len(self.weight), pairs, self.attraction[known] + offset, self.weight[known])
 
     def joined(self, segments: Int64[np.ndarray, "fragment"]) -> "Evidence":
         """Give the evidence on pairs of segments."""
@@ -61,13 +63,17 @@ def fragments_of(labellings: Sequence[Labels]) -> tuple[Labels, Int64[np.ndarray
     return np.split(names.reshape(-1).astype(np.int64), np.cumsum(lengths)[:-1]), shared
 
 
-def gather(fragments: Labels, shared: Int64[np.ndarray, "fragment labelling"], pairs: Sequence[Pairs]) -> Evidence:
+def gather(
+    fragments: Labels, shared: Int64[np.ndarray, "fragment labelling"], pairs: Sequence[Pairs], *, bias: float
+) -> Evidence:
     """Sum up the affinities of pixels over all images, and the agreement of the labellings.
 
     Args:
         fragments: The fragment of each foreground pixel.
         shared: Labels of each fragment in several labellings.
         pairs: Affinities of the foreground pixels of each image.
+        bias: Added to the logits of affinities, and up to `MOST_DISTANT_BIAS` to the agreement; larger values divide
+            less.
     """
     count = len(shared)
     ends = np.hstack([names[each.pixels] for names, each in zip(fragments, pairs, strict=True)])
@@ -78,8 +84,9 @@ def gather(fragments: Labels, shared: Int64[np.ndarray, "fragment labelling"], p
     sizes = np.bincount(np.concatenate(fragments), minlength=count)
     distant = OVER_TIME * np.minimum(sizes[:, None], sizes)
     weight = number + distant
-    agreed = (number * AGREEMENT + distant * DISTANT_AGREEMENT) * agreement
-    attraction = (total + agreed) / np.where(weight > 0, weight, 1)
+    near = total + number * (AGREEMENT * agreement + bias)
+    far = distant * (DISTANT_AGREEMENT * agreement + min(bias, MOST_DISTANT_BIAS))
+    attraction = (near + far) / np.where(weight > 0, weight, 1)
     upper = np.triu(np.ones((count, count), bool), 1)
     weight, attraction = (np.where(upper, each, 0) for each in (weight, attraction))
     return Evidence(attraction + attraction.T, weight + weight.T)

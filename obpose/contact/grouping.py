@@ -11,6 +11,9 @@ from obpose.contact.linkage import average_linkage
 
 LEAST = 3
 """Segments of fewer pixels join the nearest larger one."""
+MOST = 255
+"""Number of segments beyond which the smaller ones join the nearest larger one, too: the cost of following them through
+a clip stays bounded with weights that divide nearly everything."""
 
 
 class Pairs(NamedTuple):
@@ -65,8 +68,11 @@ def _join_small(
     vectors: Float[np.ndarray, "pixel channel"], segments: Int64[np.ndarray, "pixel"]
 ) -> Int64[np.ndarray, "pixel"]:
     """Give the pixels of small segments to the large segment with the nearest embedding, if there is one."""
-    large = np.bincount(segments)[segments] >= LEAST
-    if large.all() or not large.any():
+    sizes = np.bincount(segments)
+    kept = sizes >= LEAST if (sizes >= LEAST).any() else sizes > 0
+    kept[np.argsort(-np.where(kept, sizes, 0), kind="stable")[MOST:]] = False
+    large = kept[segments]
+    if large.all():
         return segments
     joined = segments.copy()
     joined[~large] = segments[large][KDTree(vectors[large]).query(vectors[~large])[1]]

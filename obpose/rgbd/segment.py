@@ -23,7 +23,7 @@ GAP = 0.06
 BIAS = -CAUTION
 """Bias of joining parts of a video: with this one they are one object if most frames say so, unless they move apart."""
 LEAST_SHARE = 4e-4
-"""Segments with a smaller share of the pixels of all frames are noise: 123 pixels of one frame of 640x480."""
+"""Segments with a smaller share of the pixels of every frame are noise: 123 pixels of 640x480."""
 NEAR = 3.0
 """Pixels farther from all reduced points than this many spacings of them are background."""
 LEAST_HEIGHT = 0.5
@@ -79,9 +79,11 @@ def _refined(frames: PreparedFrames, frame: int, labels: np.ndarray, points: np.
 
 def _largest(labels: Integer[np.ndarray, "frame height width"], most: int) -> UInt8[np.ndarray, "frame height width"]:
     """Number objects from 1 by decreasing size; specks lose their label, and so do all but the largest ones."""
-    names, inverse, counts = np.unique(labels, return_inverse=True, return_counts=True)
-    large = (names > 0) & (counts >= LEAST_SHARE * labels.size)
-    order = [place for place in np.argsort(-counts, kind="stable") if large[place]][:most]
+    names, inverse = np.unique(labels, return_inverse=True)
+    sizes = np.stack([np.bincount(frame, minlength=len(names)) for frame in inverse.reshape(len(labels), -1)])
+    # An object may be visible in a few frames only.
+    large = (names > 0) & (sizes.max(axis=0) >= LEAST_SHARE * labels[0].size)
+    order = [place for place in np.argsort(-sizes.sum(axis=0), kind="stable") if large[place]][:most]
     new = np.zeros(len(names), np.uint8)
     new[order] = np.arange(1, len(order) + 1)
     return new[inverse].reshape(labels.shape)

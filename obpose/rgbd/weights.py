@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from obpose.baselines.ogc import Ogc
 from obpose.contact.model import ContactModel
 from obpose.contact.scene_model import ContactObPose
 from obpose.errors import UsageError
@@ -25,8 +26,10 @@ DEFAULT = "supervised--desk--128x96"
 """Name of the shipped weights for frames of a user's own."""
 
 
-def method_of(checkpoint: str | Path, objects: int | None = None) -> tuple[Method, Trained]:
-    """Load weights as a method, and describe the scenes that they were trained on.
+def method_of(
+    checkpoint: str | Path, objects: int | None = None, *, option: str = "--checkpoint"
+) -> tuple[Method, Trained]:
+    """Load weights that an option names as a method, and describe the scenes that they were trained on.
 
     The IC-SBP of ObPose looks for `objects` objects, by default for as many as in training; other weights have no
     limit.
@@ -35,7 +38,7 @@ def method_of(checkpoint: str | Path, objects: int | None = None) -> tuple[Metho
         UsageError: there are none, or their system cannot segment frames of a user.
         CorruptFile: a file is damaged.
     """
-    model, config, _ = load(find_checkpoint(Path(checkpoint)))
+    model, config, _ = load(find_checkpoint(Path(checkpoint), option=option))
     if objects is not None:
         look_for(model, objects)
     return partial(_segment, model), trained_on(config)
@@ -48,7 +51,7 @@ def look_for(model: Trainable, objects: int) -> None:
 
 
 def segment_reduced(checkpoint: str, flags: Frames, frames: PreparedFrames) -> Int[Tensor, "1 frame 1 height width"]:
-    """Label prepared frames by weights that need another resolution.
+    """Label prepared frames by weights that need another resolution, and which `--masks` names.
 
     Args:
         checkpoint: Folder or name of the weights.
@@ -58,20 +61,20 @@ def segment_reduced(checkpoint: str, flags: Frames, frames: PreparedFrames) -> I
     Raises:
         UsageError: as `method_of`.
     """
-    method, trained = method_of(checkpoint)
+    method, trained = method_of(checkpoint, option="--masks")
     labels = torch.from_numpy(segment_frames(prepare(frames.recording, flags, trained), method)).long()
     start = frames.every // 2
     return labels[None, :, None, start :: frames.every, start :: frames.every]
 
 
 def segment_clip(checkpoint: str, clip: Observation) -> Int[Tensor, "1 frame view height width"]:
-    """Label a clip of a dataset by weights of the contact model.
+    """Label a clip of a dataset by weights of the contact model, which `--masks` names.
 
     Raises:
         UsageError: as `method_of`, or the weights are of another system.
     """
-    model = _masks_alone(load(find_checkpoint(Path(checkpoint)))[0])
-    if not isinstance(model, ContactModel):
+    model = _masks_alone(load(find_checkpoint(Path(checkpoint), option="--masks"))[0])
+    if not isinstance(model, ContactModel) or isinstance(model, Ogc):
         raise UsageError(f"--masks {checkpoint}: expected weights of obpose-contact, contact-masks or supervised.")
     return model.label_objects(clip)
 

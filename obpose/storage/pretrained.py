@@ -63,8 +63,8 @@ def shipped_to_create(track: str, folder: Path = assets.CHECKPOINTS) -> str:
     )
 
 
-def find_checkpoint(checkpoint: Path) -> Path:
-    """Find the folder of a model, given as a path or as the name of shipped weights.
+def find_checkpoint(checkpoint: Path, *, option: str = "--checkpoint") -> Path:
+    """Find the folder of a model that an option gives as a path or as the name of shipped weights.
 
     Raises:
         UsageError: neither exists; the message lists the available names.
@@ -73,7 +73,7 @@ def find_checkpoint(checkpoint: Path) -> Path:
         return assets.CHECKPOINTS / checkpoint
     if not checkpoint.is_dir():
         raise UsageError(
-            f"--checkpoint {checkpoint}: no such folder; expected one that obpose-train wrote, or the name of weights "
+            f"{option} {checkpoint}: no such folder; expected one that obpose-train wrote, or the name of weights "
             f"that ship with this package. {list_shipped()}"
         )
     return checkpoint

@@ -22,10 +22,12 @@ def clip_and_truth(
     return clip_of(record, uses_labels=uses_labels), record["segmentation"]
 
 
-def balls(paths: np.ndarray, size: int = 64) -> tuple[Clip, np.ndarray]:
-    """A clip of balls whose centres, metres, go along `paths` (frame, ball, 3), all of one colour."""
+def balls(
+    paths: np.ndarray, size: int = 64, eye: tuple[float, float, float] = (0.01, 0.0, 1.0)
+) -> tuple[Clip, np.ndarray]:
+    """A clip of balls whose centres, metres, go along `paths` (frame, ball, 3), all of one colour; seen from `eye`."""
     k = geometry.intrinsics(np.radians(60), size, size)
-    pose = geometry.look_at(np.array([0.01, 0.0, 1.0]), np.zeros(3))
+    pose = geometry.look_at(np.array(eye), np.zeros(3))
     images = [trace(centers, k, pose, size, size) for centers in paths]
     depth, truth = (np.stack([image[part] for image in images])[:, None] for part in (0, 1))
     rgb = np.full((*truth.shape, 3), 90, np.uint8)

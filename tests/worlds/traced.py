@@ -22,9 +22,11 @@ def write_dataset(
     size: tuple[int, int] = (64, 48),
     spheres: int = 3,
     sensor: bool = False,
+    **changes: Any,
 ) -> Path:
     """A dataset folder with that many scenes in every split, or in each by name; `size` is width and height."""
-    recipe = spheres_recipe(frames=frames, views=views, resolution=size, sensor=config.Sensor(enabled=sensor))
+    facts = {"frames": frames, "views": views, "resolution": size, "sensor": config.Sensor(enabled=sensor)}
+    recipe = spheres_recipe(**facts, **changes)
     splits = (
         dict.fromkeys(schema.SPLITS, scenes) if isinstance(scenes, int) else dict.fromkeys(schema.SPLITS, 0) | scenes
     )

@@ -142,7 +142,7 @@ def register(
                 predicted[name] = move(predicted[name], pairs, turning=turn >= TRANSLATIONS)
     if not objects:
         return np.full(len(cloud.points), -1), distances, predicted
-    return names[smooth(features, nearest, len(names))], distances, predicted
+    return names[smooth(features, nearest)], distances, predicted
 
 
 def correspondences(model: Cloud, seen: Cloud, nearest: Int64[np.ndarray, "seen"]) -> Pairs:
@@ -179,17 +179,28 @@ def kabsch(source: Points, target: Points) -> Float[np.ndarray, "3 3"]:
     return vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
 
 
-def smooth(
-    features: Float[np.ndarray, "point 6"], labels: Int64[np.ndarray, "point"], count: int
-) -> Int64[np.ndarray, "point"]:
-    """Replace labels by those that prevail among the nearest points."""
+def smooth(features: Float[np.ndarray, "point 6"], labels: Int64[np.ndarray, "point"]) -> Int64[np.ndarray, "point"]:
+    """Replace labels by those that prevail among the nearest points; the smaller label where two are level.
+
+    The point itself has half a vote, its neighbours share half a vote, and their neighbours share one.
+    """
     nearest = KDTree(features).query(features, k=min(NEIGHBOURS, len(features)))[1]
     neighbours = np.reshape(nearest, (len(features), -1))
-    own = np.eye(count)[labels]
-    votes = own
-    for _ in range(2):
-        votes = own / 2 + votes[neighbours].mean(axis=1)
-    return votes.argmax(axis=1)
+    count = neighbours.shape[1]
+    # Votes of each point, sorted by label.
+    first = labels[neighbours]
+    cast = np.hstack([labels[:, None], first, first[neighbours].reshape(len(labels), -1)])
+    weights = np.repeat([count**2, count, 2], [1, count, count**2])
+    order = np.argsort(cast, axis=1)
+    cast = np.take_along_axis(cast, order, axis=1)
+    # Sum of the votes for each label, at the last of them.
+    total = np.cumsum(weights[order], axis=1)
+    last = np.ones(cast.shape, bool)
+    last[:, :-1] = cast[:, 1:] != cast[:, :-1]
+    before = np.zeros_like(total)
+    before[:, 1:] = np.maximum.accumulate(np.where(last, total, 0), axis=1)[:, :-1]
+    winner = np.where(last, total - before, 0).argmax(axis=1)
+    return np.take_along_axis(cast, winner[:, None], axis=1)[:, 0]
 
 
 def split(points: Points, gap: float) -> Int64[np.ndarray, "point"]:

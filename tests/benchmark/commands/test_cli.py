@@ -221,6 +221,16 @@ def test_packed_results_are_compared_and_reported_and_never_run_into(
     assert sorted(packed.rglob("*")) == before
 
 
+@pytest.mark.parametrize("name", ["leaderboard.csv", "report.html", "manifest.json"])
+def test_files_of_somebody_else_are_not_overwritten(data: Path, tmp_path: Path, capsys, name: str):
+    own = tmp_path / name
+    own.write_text("my thesis")
+    assert run_cli("--model", "good", "--data", data, "--seeds", 1, "--out", tmp_path) == EXIT_USAGE
+    assert f"holds {name}, which would be overwritten" in capsys.readouterr().err
+    assert own.read_text() == "my thesis"
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
 def test_models_and_tracks_are_listed(capsys):
     assert run_cli("--list") == EXIT_OK
     shown = capsys.readouterr().out

@@ -9,6 +9,7 @@ from statistics import mean
 import pytest
 
 from benchmark.commands.train import ari_fg
+from datagen.config import Objects
 from datagen.errors import EXIT_USAGE
 from datagen.tracks import Track
 from obpose.baselines.obsurf.config import ObsurfConfig
@@ -144,6 +145,15 @@ def test_a_dataset_without_training_scenes_says_so(tmp_path: Path, capsys: pytes
     assert re.search(r"spheres has no training scenes; expected at least one\. .*--split train=", errors)
     assert errors.count("\n") == 1
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("variant", ["obpose-contact", "contact-masks", "obsurf"])
+def test_a_dataset_without_objects_says_so(variant: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    nothing = Objects(minimum=0, maximum=0)
+    data = write_dataset(tmp_path / "empty", scenes=1, frames=2, size=(24, 16), spheres=0, objects=nothing)
+    command = ["--data", str(data), "--steps", "1", "--variant", variant, "--out", str(tmp_path / "run")]
+    assert main(command) == EXIT_USAGE
+    assert "empty has no objects, only the background" in capsys.readouterr().err
 
 
 def test_a_dataset_without_validation_scenes_is_trained_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

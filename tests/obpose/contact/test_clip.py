@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sklearn.metrics import adjusted_rand_score
 
-from obpose.contact.clip import CAUTION, Image, LabelledImage, segment_clip
+from obpose.contact.clip import CAUTION, MOST_OBJECTS, Image, LabelledImage, segment_clip
 from obpose.contact.grouping import foreground_pairs
 from tests.obpose.contact.test_grouping import affinities
 from tests.worlds.sphere_clips import balls
@@ -93,6 +93,39 @@ def test_parts_that_turn_over_together_are_one_object_unless_they_move_apart(sli
     images = [LabelledImage(mask, points.reshape(20, 20, 3), rgb, labels) for points in (body, turned, apart)]
     found = segment_clip(images, bias=0.0, gap=0.03)
     assert len(np.unique(found)) == (1 if slip == 0 else 2)
+
+
+@pytest.mark.parametrize("bias", [0.5, 9.0])
+def test_distant_objects_are_apart_whatever_the_bias(bias: float):
+    images, truth = clip_of(paths((X, 0 * X - 0.12), (-X, 0 * X + 0.12)))
+    assert same(segment_clip(images, bias=bias, gap=0.03), truth)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_specks_are_background_in_noisy_images(count: int):
+    mask = np.zeros((20, 20), bool)
+    mask[5:12, 5:12] = mask[18, 18] = True
+    points = np.stack([*np.mgrid[:20, :20] * 0.01, np.full((20, 20), 0.03)], axis=-1)
+    points[18, 18] += 1.0
+    image = LabelledImage(mask, points, np.zeros((20, 20, 3)), np.zeros(50, np.int64))
+    for noise, label in ((0.0, 1), (0.002, 0)):
+        found = segment_clip([image] * count, bias=0.0, gap=0.03, noise=noise)
+        assert (found[:, 18, 18] == label).all()
+        assert (found[:, 5:12, 5:12] == 1).all()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_smallest_of_too_many_objects_are_background(count: int):
+    labels = np.append(np.arange(400), 0)  # the first object has two pixels
+    image = LabelledImage(
+        np.ones((1, 401), bool),
+        np.stack([np.arange(401.0), *np.zeros((2, 401))], -1)[None],
+        np.zeros((1, 401, 3)),
+        labels,
+    )
+    found = segment_clip([image] * count, bias=-CAUTION, gap=0.03)
+    assert set(np.unique(found)) == set(range(MOST_OBJECTS + 1))
+    assert (found[:, 0, [0, -1]] == 1).all()
 
 
 def test_views_of_the_same_time_are_no_motion():

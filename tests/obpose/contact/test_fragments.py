@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from obpose.contact.fragments import MOST_FRAGMENTS, Evidence, fragments_of, gather
+from obpose.contact.fragments import MOST_FRAGMENTS, OVER_TIME, Evidence, fragments_of, gather
 from obpose.contact.grouping import Pairs
 from tests.obpose.contact.test_linkage import by_hand
 
@@ -23,12 +23,28 @@ def test_the_smallest_of_too_many_fragments_join_similar_ones():
 def test_evidence_is_the_mean_over_all_images():
     shared = np.array([[0, 0], [0, 1]])
     images = [Pairs(np.array([[0], [1]]), np.array([value])) for value in (3.0, -2.0)]
-    evidence = gather([np.array([0, 1]), np.array([1, 0])], shared, images)
+    evidence = gather([np.array([0, 1]), np.array([1, 0])], shared, images, bias=0.0)
     # Two pairs of pixels with mean 0.5; the labellings disagree with each other.
     assert evidence.weight[0, 1] * evidence.attraction[0, 1] == 1.0
     assert np.array_equal(evidence.attraction, evidence.attraction.T)
     assert evidence.segments(0.0).tolist() == [0, 0]
     assert evidence.segments(-1.0).tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("bias", [-1.0, 0.0, 0.5, 1.5, 9.0])
+def test_the_bias_is_added_to_affinities_but_never_joins_distant_objects(bias: float):
+    """Two fragments that touch, and a third one far from both, which all labellings divide."""
+    shared = np.tile(np.arange(3)[:, None], 4)
+    images = [Pairs(np.array([[0], [1]]), np.array([3.0]))]
+    fragments = [np.arange(3)]
+    found, without = (gather(fragments, shared, images, bias=value) for value in (bias, 0.0))
+    distant = found.attraction[0, 2] - without.attraction[0, 2]
+    assert distant == pytest.approx(min(bias, 0.5))
+    near, near_before = (
+        each.weight[0, 1] * each.attraction[0, 1] - OVER_TIME * each.attraction[0, 2] for each in (found, without)
+    )
+    assert near - near_before == pytest.approx(bias)
+    assert found.attraction[0, 2] < 0
 
 
 def test_joined_evidence_is_that_of_the_members():

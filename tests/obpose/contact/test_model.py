@@ -136,6 +136,21 @@ def test_depth_is_cleaned_only_if_so_set(observation: PastedObservation, clean: 
     assert inputs.valid.all() == clean
 
 
+@pytest.mark.parametrize("gap", [None, 0.05])
+def test_distant_points_share_no_object_if_so_set(observation: PastedObservation, gap: float | None):
+    """A block that is 20 cm nearer to the camera than what is around it."""
+    model = ContactModel(ContactConfig(model=ContactModelConfig(division_gap=gap))).eval()
+    model.network.head[-1].bias.data[0] = 9.0  # everything is foreground
+    depth = torch.full_like(observation.depth, 0.8)
+    depth[..., 20:40, 20:40] = 0.6
+    flat = replace(observation, depth=depth, valid=torch.ones_like(observation.valid))
+    image = model.clip_images(flat)[0]
+    inside = (depth[0, 0, 0] < 0.7).numpy()[image.mask]
+    crossing = np.not_equal(*inside[image.pairs.pixels])
+    assert crossing.any() == (gap is None)
+    assert np.count_nonzero(~crossing) > len(inside)
+
+
 @pytest.mark.parametrize("scale", [1, 2])
 def test_partners_are_as_far_away_as_in_training(observation: PastedObservation, scale: int):
     model = ContactModel(override(ContactConfig(), {"model.image_scale": scale})).eval()

@@ -1,10 +1,20 @@
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from obpose.contact.pasting import PastedClips, pseudo_scenes
+from obpose.contact.pasting import (
+    LEAST_LEFT,
+    LEAST_VISIBLE,
+    Cutout,
+    PastedClips,
+    PseudoScene,
+    cut_out,
+    paste,
+    pseudo_scenes,
+)
 from obpose.data.clips import ArrayClips, observation_of
 from obpose.errors import UsageError
 from obpose.geometry import unproject
@@ -14,10 +24,10 @@ RADIUS = 0.045
 SETTINGS = {"table": 0.0, "floor": 0.0015, "gap": 0.06, "clean": False}
 
 
-def source(*scenes: Sequence[tuple[float, float]]) -> ArrayClips:
+def source(*scenes: Sequence[tuple[float, float]], **options: tuple[float, float, float]) -> ArrayClips:
     """Clips of one frame with balls on the table at these places."""
     paths = [np.array([[(*place, RADIUS) for place in scene]], dtype=float).reshape(1, -1, 3) for scene in scenes]
-    return ArrayClips([balls(path)[0] for path in paths])
+    return ArrayClips([balls(path, **options)[0] for path in paths])
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +77,46 @@ def test_pasted_balls_stand_on_the_table_and_keep_their_size(clips: ArrayClips):
             height = points[image["pseudo_labels"][0, 0] == name][:, 2]
             assert height.max() < 2 * RADIUS + 0.012  # the top of a ball, of which some pixels may be hidden
             assert height.min() > -0.012
+
+
+def seen_at_an_angle() -> PseudoScene:
+    """A ball in front of a camera from which farther places on the table look higher."""
+    return next(pseudo_scenes(source([(0.0, 0.0)], eye=(0.7, 0.0, 0.6)).window(0, 0, 1), **SETTINGS))
+
+
+def only_low(scene: PseudoScene) -> PseudoScene:
+    """The lowest rows of the ball as the object."""
+    rows = np.nonzero(scene.labels)[0]
+    return replace(scene, labels=np.where(np.arange(64)[:, None] > rows.max() - 3, scene.labels, 0).astype(np.uint8))
+
+
+def pastings(scene: PseudoScene, other: PseudoScene) -> Iterator[tuple[Cutout, PseudoScene]]:
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        cutout = cut_out(other, rng)
+        found = paste(scene, cutout, rng)
+        if found is not scene:
+            yield cutout, found
+
+
+def test_pasted_objects_keep_their_height_though_they_are_farther_away_or_nearer():
+    scene, moved = seen_at_an_angle(), []
+    for cutout, found in pastings(scene, scene):
+        mask = found.labels == 2
+        if np.count_nonzero(mask) == len(cutout.rows):
+            assert found.points(mask)[:, 2].mean() == pytest.approx(cutout.height, abs=0.003)
+            moved.append(abs(found.depth[mask].mean() / cutout.depth.mean() - 1))
+    assert max(moved) > 0.05
+
+
+def test_pasted_objects_are_visible_and_leave_others_visible():
+    """Small ones are not hidden by a ball, and balls do not hide small ones."""
+    scene = seen_at_an_angle()
+    low = only_low(scene)
+    visible = [np.count_nonzero(found.labels == 2) / len(cutout.rows) for cutout, found in pastings(scene, low)]
+    assert LEAST_VISIBLE <= min(visible) < 1
+    left = [np.count_nonzero(found.labels == 1) / np.count_nonzero(low.labels) for _, found in pastings(low, scene)]
+    assert LEAST_LEFT <= min(left) < 1
 
 
 def test_pasted_objects_hide_what_is_behind_them(clips: ArrayClips):

@@ -98,6 +98,15 @@ def test_specks_are_no_objects():
     np.testing.assert_array_equal(_largest(labels, 9), labels == 2)
 
 
+@pytest.mark.parametrize("frames", [1, 30])
+def test_an_object_that_is_visible_in_one_frame_counts_however_long_the_video_is(frames: int):
+    labels = np.zeros((frames, 100, 100), np.int64)
+    labels[:, :9] = 1
+    labels[0, 20, :5], labels[:, 40, :3] = 2, 3
+    found = _largest(labels, 9)
+    np.testing.assert_array_equal(found, np.where(labels < 3, labels, 0))
+
+
 def test_pixels_outside_of_the_workspace_have_no_depth(world: tuple[PreparedFrames, np.ndarray]):
     frames, _ = world
     small = Trained(0.01, cube=((0.0, 0.0, 0.0), 0.2))
