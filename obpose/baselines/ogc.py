@@ -27,6 +27,7 @@ from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, Followed, regist
 from obpose.data.clips import ClipSource
 from obpose.errors import UsageError
 from obpose.geometry import full_precision, unproject
+from obpose.model.attention.given import Labels
 from obpose.types import Observation, Segmentation
 
 NEAREST, BALL = (8, 0.02, 3.0), (16, 0.04, 1.0)
@@ -102,6 +103,10 @@ class Ogc(ContactModel):
         smoothed = SMOOTH * (fraction >= SMOOTH_FROM)
         total = DYNAMIC * terms["dynamic"] + smoothed * terms["smooth"] + INVARIANT * terms["invariant"]
         return {"total": total, **{name: term.detach() for name, term in terms.items()}}
+
+    def label_objects(self, observation: Observation) -> Labels:
+        """Give the labels of `segment`."""
+        return self.segment(observation).labels
 
     @torch.no_grad()
     def segment(self, observation: Observation) -> Segmentation:

@@ -75,8 +75,9 @@ class Infer(Frames, _Shown):
     scene: int = 0
     """Index of the scene in the split."""
     masks: str | None = None
-    """Weights of obpose-contact, contact-masks or supervised, a folder or a shipped name, that find the objects; `own`:
-    the model finds them. Default: supervised--desk--128x96 for frames of your own, the model for clips of a dataset."""
+    """Weights of obpose-contact, contact-masks, supervised or ogc, a folder or a shipped name, that find the objects;
+    `own`: the model finds them. Default: supervised--desk--128x96 for frames of your own, the model for clips of a
+    dataset."""
     refine: int = 100
     """Steps in which the scene is fitted to the frames, which takes seconds; 0: codes as inferred, without details."""
 

@@ -73,8 +73,9 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
     """Segment the frames and write all files."""
     # Late, because PyTorch takes seconds to import.
     with interruptible_imports(PROGRAM):
+        from obpose.contact.clip import MOST_OBJECTS
         from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, check_target, objects_of, write_results
-        from obpose.rgbd.segment import MOST_OBJECTS, segment_frames
+        from obpose.rgbd.segment import segment_frames
 
     if values.objects is not None and not 1 <= values.objects <= MOST_OBJECTS:
         raise UsageError(f"--objects {values.objects}: expected 1 to {MOST_OBJECTS}.")

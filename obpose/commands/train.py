@@ -105,7 +105,10 @@ def run(values: Train, score: "Score | None" = None) -> int:
             "obpose-datagen --split train=2000,val=100,test=300."
         )
     if data.slots < 2:
-        raise UsageError(f"{values.data} has no objects, only the background; expected scenes with objects to learn.")
+        raise UsageError(
+            f"{values.data} has no objects, only the background; expected scenes with objects to learn. Make a dataset "
+            "with --objects.maximum 1 or more."
+        )
     out = values.out or RUNS / f"{values.variant}-{values.profile}-{data.name}-seed{values.seed}"
     check_no_dataset(out)
     console = status_console(quiet=_process() > 0)

@@ -111,7 +111,7 @@ def segment_clip(
     clouds = [Cloud(image.points[image.mask], COLOUR_SCALE * image.rgb[image.mask]) for image in images]
     keys = evenly_spread(clouds)
     labels = (
-        _decide(images, clouds, keys, bias=bias, gap=gap, views=views, noise=noise)
+        _over_time(images, clouds, keys, bias=bias, gap=gap, views=views, noise=noise)
         if keys
         else [image.groups(bias) for image in images]
     )
@@ -123,7 +123,7 @@ def segment_clip(
     return np.stack([label_map(image.mask, found) for image, found in zip(images, labels, strict=True)])
 
 
-def _decide(
+def _over_time(
     images: Sequence[Image] | Sequence[LabelledImage],
     clouds: Sequence[Cloud],
     keys: Sequence[int],

@@ -11,9 +11,9 @@ from obpose.contact.linkage import average_linkage
 
 LEAST = 3
 """Segments of fewer pixels join the nearest larger one."""
-MOST = 255
-"""Number of segments beyond which the smaller ones join the nearest larger one, too: the cost of following them through
-a clip stays bounded with weights that divide nearly everything."""
+MOST_SEGMENTS = 255
+"""Smaller segments beyond this number join the nearest larger one, too. It bounds the cost of following them through a
+clip, for weights that divide nearly everything."""
 
 
 class Pairs(NamedTuple):
@@ -67,10 +67,10 @@ def group(pairs: Pairs, embedding: Float[np.ndarray, "pixel channel"], *, bias: 
 def _join_small(
     vectors: Float[np.ndarray, "pixel channel"], segments: Int64[np.ndarray, "pixel"]
 ) -> Int64[np.ndarray, "pixel"]:
-    """Give the pixels of small segments to the large segment with the nearest embedding, if there is one."""
+    """Give the pixels of small segments to the large segment with the nearest embedding; all are large if none is."""
     sizes = np.bincount(segments)
     kept = sizes >= LEAST if (sizes >= LEAST).any() else sizes > 0
-    kept[np.argsort(-np.where(kept, sizes, 0), kind="stable")[MOST:]] = False
+    kept[np.argsort(-np.where(kept, sizes, 0), kind="stable")[MOST_SEGMENTS:]] = False
     large = kept[segments]
     if large.all():
         return segments

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Int, Integer, UInt8
 from scipy.spatial import KDTree
 
-from obpose.contact.clip import CAUTION, LabelledImage, segment_clip
+from obpose.contact.clip import CAUTION, MOST_OBJECTS, LabelledImage, segment_clip
 from obpose.geometry import unproject
 from obpose.rgbd.frames import PreparedFrames, Trained
 from obpose.types import Observation
@@ -14,8 +14,6 @@ from obpose.types import Observation
 Labels = Int[np.ndarray, "frame height width"]
 Method = Callable[[Observation], Labels]
 """Function that labels the objects of a batch of one clip with one view; 0 is the background."""
-MOST_OBJECTS = 255
-"""Largest number of objects: label images have 8 bits."""
 UNTRAINED = Trained(spacing=0.006, learned=False)
 """Pixel spacing that methods without training get."""
 GAP = 0.06
@@ -23,7 +21,7 @@ GAP = 0.06
 BIAS = -CAUTION
 """Bias of joining parts of a video: with this one they are one object if most frames say so, unless they move apart."""
 LEAST_SHARE = 4e-4
-"""Segments with a smaller share of the pixels of every frame are noise: 123 pixels of 640x480."""
+"""Segments that have a smaller share of the pixels in every frame are noise: 123 pixels of 640x480."""
 NEAR = 3.0
 """Pixels farther from all reduced points than this many spacings of them are background."""
 LEAST_HEIGHT = 0.5

@@ -7,7 +7,6 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from obpose.baselines.ogc import Ogc
 from obpose.contact.model import ContactModel
 from obpose.contact.scene_model import ContactObPose
 from obpose.errors import UsageError
@@ -74,8 +73,8 @@ def segment_clip(checkpoint: str, clip: Observation) -> Int[Tensor, "1 frame vie
         UsageError: as `method_of`, or the weights are of another system.
     """
     model = _masks_alone(load(find_checkpoint(Path(checkpoint), option="--masks"))[0])
-    if not isinstance(model, ContactModel) or isinstance(model, Ogc):
-        raise UsageError(f"--masks {checkpoint}: expected weights of obpose-contact, contact-masks or supervised.")
+    if not isinstance(model, ContactModel):
+        raise UsageError(f"--masks {checkpoint}: expected weights of obpose-contact, contact-masks, supervised or ogc.")
     return model.label_objects(clip)
 
 

@@ -94,6 +94,7 @@ def test_a_step_learns_and_masks_cover_what_stands_on_the_table():
     assert all(torch.isfinite(value) for value in terms.values())
     assert any(parameter.grad.abs().sum() > 0 for parameter in model.parameters() if parameter.grad is not None)
     found = model.segment(scene)
+    assert torch.equal(model.label_objects(scene), found.labels)
     standing = model.standing(model.images(scene)).reshape(found.labels.shape)
     assert torch.equal(found.attention > 0, standing)
     assert torch.equal(found.labels > 0, standing)

@@ -3,7 +3,7 @@ import pytest
 from sklearn.metrics import adjusted_rand_score
 
 from obpose.contact.components import OFFSETS, offsets, shifted
-from obpose.contact.grouping import LEAST, MOST, foreground_pairs, group
+from obpose.contact.grouping import LEAST, MOST_SEGMENTS, foreground_pairs, group
 
 
 def affinities(truth: np.ndarray, strength: float = 4.0, scale: int = 1) -> np.ndarray:
@@ -56,7 +56,7 @@ def test_a_large_bias_joins_all_that_is_within_reach():
 @pytest.mark.parametrize("width", [1, 2])  # segments of two pixels, which are small, or of four
 def test_the_smallest_of_too_many_segments_join_others(width: int):
     truth = np.repeat(np.repeat(np.arange(1, 901).reshape(30, 30), 2, axis=0), width, axis=1)
-    assert len(np.unique(grouped(truth, affinities(truth)))) == MOST
+    assert len(np.unique(grouped(truth, affinities(truth)))) == MOST_SEGMENTS
 
 
 def test_parts_share_no_object_whatever_the_affinities():
