@@ -242,12 +242,22 @@ def _file_access() -> h5p.PropFAID:
 
 @contextmanager
 def reading_hdf5(path: Path, advice: str = "") -> Iterator[None]:
-    """Report what h5py raises inside this context as `CorruptFile` that names the file."""
+    """Report what h5py raises inside this context as `CorruptFile` that names the file.
+
+    Raises:
+        UsageError: the file is already open in this process, with other settings of HDF5.
+    """
     try:
         yield
     except (FileNotFoundError, PermissionError):
         raise
     except _HDF5_ERRORS as error:
+        # HDF5 opens a file once per process.
+        if any(said in str(error) for said in ("file locking flag values don't match", "close degree doesn't match")):
+            raise UsageError(
+                f"{path} is already open in this process with other settings of HDF5, such as those of h5py.File. "
+                "Close it there first."
+            ) from None
         raise damaged_hdf5(path, error, advice) from None
 
 

@@ -205,6 +205,19 @@ def test_errors_inside_an_open_hdf5_file_name_the_file(tmp_path):
         pytest.fail("opened")
 
 
+def test_a_file_that_h5py_holds_open_is_not_called_damaged(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["x"] = [1]
+    with (
+        h5py.File(tmp_path / "a.h5"),
+        pytest.raises(UsageError, match=r"a\.h5 is already open in this process.*Close it"),
+        open_hdf5(tmp_path / "a.h5"),
+    ):
+        pytest.fail("opened")
+    with open_hdf5(tmp_path / "a.h5") as file:
+        assert "x" in file
+
+
 def _npy(header):
     text = header.encode() + b" " * (117 - len(header)) + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + bytes(64)
