@@ -1,6 +1,7 @@
 """Files of a segmented recording: label images, overlays, point clouds, and boxes as JSON."""
 
 import json
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from datagen.inspect.preview import save_mp4
 from datagen.rgbd.camera_pose import Pose
 from datagen.storage.atomic import check_new_folder, new_folder
 from obpose.errors import UsageError
-from obpose.pictures import PALETTE, Picture, box_edges, draw_box, png, tint
+from obpose.pictures import PALETTE, Picture, box_edges, draw_box, enlarged, png, tint
 from obpose.rgbd.boxes import Box, upright_box
 from obpose.rgbd.frames import PreparedFrames
 from obpose.scenes.pictures import write_gif, write_png
@@ -30,6 +31,8 @@ LEAST_POINTS = 4
 """Objects with fewer pixels in a frame have no box and no point cloud there."""
 _NEAREST = 0.01
 """Distance from the camera in metres below which nothing is drawn."""
+LEAST_WIDTH = 320
+"""Least width of overlays, pixels; narrower images are enlarged by a whole number, so that lines and digits fit."""
 FPS = 10.0
 """Frames per second of the animation."""
 
@@ -140,7 +143,8 @@ def _write(
             plain.append({**each.to_json(), "cloud": cloud})
         pose = frames.world.poses[i].round(6).tolist()
         entries.append({"rgb": str(recording.files[i]), "world_from_camera": pose, **names, "objects": plain})
-    write_png(folder / SUMMARY, np.concatenate([recording.rgb[0], overlays[0]], axis=1))
+    first = enlarged(recording.rgb[0], _scale(recording.rgb[0]))
+    write_png(folder / SUMMARY, np.concatenate([first, overlays[0]], axis=1))
     if len(overlays) > 1:
         try:
             save_mp4(folder / f"{ANIMATION}.mp4", overlays, FPS)
@@ -164,22 +168,31 @@ def overlay(
     objects: Sequence[SegmentedObject],
     frames: PreparedFrames,
     number: int,
-) -> Picture:
-    """Draw the labels over the image, the outline of the table in white, and the edges of the objects' boxes."""
-    image = Image.fromarray(tint(rgb, labels, OPACITY))
-    k, pose, width = frames.recording.k, frames.world.poses[number], max(1, rgb.shape[1] // 320)
+) -> UInt8[np.ndarray, "rows columns 3"]:
+    """Draw the labels over the image, the outline of the table in white, and the edges of the objects' boxes.
+
+    Images narrower than `LEAST_WIDTH` are enlarged first.
+    """
+    scale = _scale(rgb)
+    image = Image.fromarray(enlarged(tint(rgb, labels, OPACITY), scale))
+    k, pose = np.diag([scale, scale, 1.0]) @ frames.recording.k, frames.world.poses[number]
+    width = max(1, image.width // LEAST_WIDTH)
     outline = np.pad(frames.workspace.outline, ((0, 0), (0, 1)))
     _draw_outline(image, outline, k, pose, width)
-    pen, font = ImageDraw.Draw(image), ImageFont.load_default(max(10, rgb.shape[0] // 32))
+    pen, font = ImageDraw.Draw(image), ImageFont.load_default(max(10, image.height // 32))
     for each in objects:
         box = (each.box.center, each.box.rotation, each.box.size)
         edges = box_edges(*(torch.from_numpy(array.astype(np.float64)) for array in box))
         draw_box(image, edges, each.label, k=torch.from_numpy(k), pose=torch.from_numpy(pose), width=width)
-        row, column = (float(np.median(index)) for index in np.nonzero(labels == each.label))
+        row, column = (scale * (float(np.median(index)) + 0.5) for index in np.nonzero(labels == each.label))
         pen.text(
             (column, row), str(each.label), font=font, anchor="mm", fill="white", stroke_width=1, stroke_fill="black"
         )
     return np.asarray(image)
+
+
+def _scale(image: Picture) -> int:
+    return math.ceil(LEAST_WIDTH / image.shape[1])
 
 
 def _draw_outline(

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from datagen.geometry import intrinsics, look_at
+from datagen.geometry import intrinsics, invert_rigid, look_at
 from obpose.errors import UsageError
 from obpose.pictures import PALETTE
 from obpose.rgbd import results
@@ -17,7 +17,7 @@ from obpose.rgbd.results import label_image, objects_of, overlay, write_results
 from obpose.rgbd.workspace import Workspace
 from obpose.rgbd.world import World
 
-WIDTH, HEIGHT = 64, 48
+WIDTH, HEIGHT, SCALE = 64, 48, 5
 K = intrinsics(1.0, WIDTH, HEIGHT)
 POSE = look_at(np.array([0.6, 0.0, 0.6]), np.zeros(3))
 RGB = np.full((HEIGHT, WIDTH, 3), 100, np.uint8)
@@ -67,9 +67,24 @@ def test_an_overlay_shows_labels_boxes_and_the_table():
     image = overlay(RGB, LABELS[0], objects, prepared, 0)
     assert (image == (100 + PALETTE[2].astype(int)) // 2).all(axis=-1).sum() > 10
     assert (image == 255).all(axis=-1).sum() > 20
-    changed = np.argwhere((image != RGB).any(axis=-1) & ~(image == 255).all(axis=-1))
-    assert np.ptp(changed, axis=0).min() >= 10
-    np.testing.assert_array_equal(overlay(RGB, 0 * LABELS[0], [], frames(square(2.0, 3.0)), 0), RGB)
+    # The edges of the box run around the label.
+    edges = np.argwhere((image == PALETTE[2]).all(axis=-1))
+    assert np.ptp(edges, axis=0).min() >= 8 * SCALE
+    assert (overlay(RGB, 0 * LABELS[0], [], frames(square(2.0, 3.0)), 0) == 100).all()
+
+
+def test_an_overlay_is_at_least_320_pixels_wide_and_fits_the_enlarged_image():
+    image = overlay(RGB, LABELS[0], [], frames(), 0)
+    assert image.shape == (HEIGHT * SCALE, WIDTH * SCALE, 3)
+    tinted = (image == (100 + PALETTE[2].astype(int)) // 2).all(axis=-1)
+    np.testing.assert_array_equal(np.argwhere(tinted).min(axis=0), (20 * SCALE, 20 * SCALE))
+    # The outline follows the edges of the table, as they are seen by the camera.
+    corners = invert_rigid(POSE)[:3, :3] @ np.pad(SQUARE.outline, ((0, 0), (0, 1))).T + invert_rigid(POSE)[:3, 3:]
+    pixels = SCALE * (K @ corners)[:2] / (K @ corners)[2]
+    white = np.argwhere((image == 255).all(axis=-1))
+    np.testing.assert_allclose(white.max(axis=0), pixels.max(axis=1)[::-1], atol=1.5)
+    wide = np.zeros((2, 640, 3), np.uint8)
+    assert overlay(wide, np.zeros((2, 640), np.uint8), [], frames(square(2.0, 3.0)), 0).shape == wide.shape
 
 
 def test_the_outline_of_a_table_that_goes_on_outside_follows_the_border():
@@ -89,7 +104,7 @@ def test_every_frame_gets_all_its_files(tmp_path: Path):
     assert np.shape(facts["table"]["outline"]) == (4, 2)
     for i, (frame, labels) in enumerate(zip(facts["frames"], LABELS, strict=True)):
         np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "out" / frame["labels"])), labels)
-        assert np.asarray(Image.open(tmp_path / "out" / frame["overlay"])).shape == (HEIGHT, WIDTH, 3)
+        assert np.asarray(Image.open(tmp_path / "out" / frame["overlay"])).shape == (HEIGHT * SCALE, WIDTH * SCALE, 3)
         (entry,) = frame["objects"]
         assert (entry["label"], entry["pixels"]) == (2, 100)
         (found,) = objects_of(labels, frames().points(i))
