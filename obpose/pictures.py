@@ -138,6 +138,14 @@ def draw_box(
             ImageDraw.Draw(canvas).line([tuple(start), tuple(end)], fill=colour, width=width)
 
 
+def draw_numbers(canvas: Image.Image, labels: Integer[np.ndarray, "height width"], scale: int) -> None:
+    """Write the number of each visible label at the median of its pixels, on an image enlarged `scale` times."""
+    pen, font = ImageDraw.Draw(canvas), ImageFont.load_default(max(12, canvas.height // 32))
+    for label in np.unique(labels[labels > 0]).tolist():
+        row, column = (scale * (float(np.median(index)) + 0.5) for index in np.nonzero(labels == label))
+        pen.text((column, row), str(label), font=font, anchor="mm", fill="white", stroke_width=1, stroke_fill="black")
+
+
 def enlarged(picture: Picture, times: int) -> UInt8[np.ndarray, "rows columns 3"]:
     """Enlarge a picture by repeating its pixels."""
     return picture.repeat(times, axis=0).repeat(times, axis=1)

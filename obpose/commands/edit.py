@@ -19,7 +19,6 @@ from obpose.commands.edit_arguments import Add, FitPrior, Infer, Mesh, Move, Ren
 from obpose.data.datasets import SceneDataset
 from obpose.errors import Interrupted, UsageError
 from obpose.model.resolution import spacing_note
-from obpose.pictures import Picture
 from obpose.rgbd.frames import prepare, trained_on
 from obpose.rgbd.reading import read_frames
 from obpose.rgbd.weights import DEFAULT, segment_clip, segment_reduced
@@ -30,11 +29,11 @@ from obpose.scenes.clip import name_clip, one_of, read_clip
 from obpose.scenes.infer import infer_scene, views_as_trained
 from obpose.scenes.meshes import FORMATS, object_mesh, write_mesh
 from obpose.scenes.model_ref import Origin, load_origin, origin_of
-from obpose.scenes.pictures import PICTURE, strip, turned, turntable, write_gif, write_png
+from obpose.scenes.pictures import PICTURE, strip, strips, turned, turntable, write_gif, write_png
 from obpose.scenes.priors import PRIORS, load_prior
 from obpose.scenes.priors.interface import FitSettings
 from obpose.scenes.priors.sample import default_camera, sample_scene
-from obpose.scenes.rendering import Renderer
+from obpose.scenes.rendering import Image, Renderer
 from obpose.scenes.scene import Camera, Scene, axis_rotation
 from obpose.scenes.storage import load_scene, save_scene
 
@@ -188,16 +187,16 @@ def render(values: Render) -> None:
             around = turntable(camera, origin.model.center, values.turntable)
             medians: list[float] = []
 
-            def picture(each: Camera) -> Picture:
+            def rendered(each: Camera) -> Image:
                 image = renderer.render(scene, frame, each)
                 medians.append(float(image.depth.median()))
-                return strip(image, scene.ids)
+                return image
 
-            write_gif(out, map(picture, around), fps=FPS)
+            write_gif(out, strips(map(rendered, around), scene.ids), fps=FPS)
             _tell_of_fog(medians, float((origin.model.center - camera.world_from_camera[:3, 3]).norm()))
         elif values.clip:
-            frames = range(scene.frames)
-            write_gif(out, (strip(renderer.render(scene, each, camera), scene.ids) for each in frames), fps=FPS)
+            images = (renderer.render(scene, each, camera) for each in range(scene.frames))
+            write_gif(out, strips(images, scene.ids), fps=FPS)
         else:
             write_png(out, strip(renderer.render(scene, frame, camera), scene.ids))
     print(values.out)
@@ -280,12 +279,13 @@ def _show(scene: Scene, origin: Origin, out: Path, resolution: str | None) -> No
     check_inside(scene, origin.model)
     camera = _sized(scene.cameras[0], resolution)
     check_new_folder(out)
-    picture = strip(Renderer(origin.model).render(scene, 0, camera), scene.ids)
-    save_scene(out, scene, picture)
+    image = Renderer(origin.model).render(scene, 0, camera)
+    save_scene(out, scene, strip(image, scene.ids))
     print(f"{out}: {counted(scene.frames, 'frame')}, {counted(len(scene.ids), 'object')}; {out / PICTURE}")
     for place, name in enumerate(scene.ids):
         x, y, z = scene.center[0, place].tolist()
-        print(f"  object {name} at {x:.3f}, {y:.3f}, {z:.3f} m in the first frame")
+        hidden = "" if (image.nearest == place + 1).any() else ", where it is hidden or outside of the picture"
+        print(f"  object {name} at {x:.3f}, {y:.3f}, {z:.3f} m in the first frame{hidden}")
 
 
 def _vector(flag: str, text: str | None) -> Float[Tensor, "3"]:

@@ -12,14 +12,14 @@ import numpy as np
 import torch
 import trimesh
 from jaxtyping import Float, Integer, UInt8
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from datagen.geometry import invert_rigid, transform
 from datagen.inspect.preview import save_mp4
 from datagen.rgbd.camera_pose import Pose
 from datagen.storage.atomic import check_new_folder, new_folder
 from obpose.errors import UsageError
-from obpose.pictures import PALETTE, Picture, box_edges, draw_box, enlarged, png, tint
+from obpose.pictures import PALETTE, Picture, box_edges, draw_box, draw_numbers, enlarged, png, tint
 from obpose.rgbd.boxes import Box, upright_box
 from obpose.rgbd.frames import PreparedFrames
 from obpose.scenes.pictures import write_gif, write_png
@@ -179,15 +179,11 @@ def overlay(
     width = max(1, image.width // LEAST_WIDTH)
     outline = np.pad(frames.workspace.outline, ((0, 0), (0, 1)))
     _draw_outline(image, outline, k, pose, width)
-    pen, font = ImageDraw.Draw(image), ImageFont.load_default(max(10, image.height // 32))
     for each in objects:
         box = (each.box.center, each.box.rotation, each.box.size)
         edges = box_edges(*(torch.from_numpy(array.astype(np.float64)) for array in box))
         draw_box(image, edges, each.label, k=torch.from_numpy(k), pose=torch.from_numpy(pose), width=width)
-        row, column = (scale * (float(np.median(index)) + 0.5) for index in np.nonzero(labels == each.label))
-        pen.text(
-            (column, row), str(each.label), font=font, anchor="mm", fill="white", stroke_width=1, stroke_fill="black"
-        )
+    draw_numbers(image, np.where(np.isin(labels, [each.label for each in objects]), labels, 0), scale)
     return np.asarray(image)
 
 

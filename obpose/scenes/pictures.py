@@ -2,7 +2,7 @@
 
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from PIL import Image as Pillow
 from torch import Tensor
 
 from datagen.storage.atomic import write_atomically
-from obpose.pictures import Picture, colours_of, enlarged, png, to_bytes
+from obpose.pictures import Picture, colours_of, draw_numbers, enlarged, png, to_bytes
 from obpose.scenes.rendering import Image
 from obpose.scenes.scene import Camera, upright
 
@@ -20,14 +20,32 @@ _TILE = 256
 """Height in pixels to which images are enlarged, by a whole factor."""
 
 
-def strip(image: Image, names: Sequence[int]) -> Picture:
-    """Draw colour, depth (near is bright) and segmentation side by side, enlarged."""
-    depth = image.depth
-    low, high = float(depth.min()), float(depth.max())
-    grey = ((high - depth) / max(high - low, 1e-6))[..., None].expand(-1, -1, 3)
+def strip(image: Image, names: Sequence[int], depths: tuple[float, float] | None = None) -> Picture:
+    """Draw colour, depth (near is bright) and segmentation with the objects' numbers side by side, enlarged.
+
+    `depths` are those drawn in white and in black, metres; by default the nearest and the farthest of the image.
+    """
+    low, high = depths or _range(image)
+    grey = ((high - image.depth) / max(high - low, 1e-6))[..., None].expand(-1, -1, 3)
     labels = np.array([0, *names])[image.nearest.numpy()]
-    parts = [to_bytes(image.rgb), to_bytes(grey), colours_of(labels)]
-    return enlarged(np.concatenate(parts, axis=1), max(1, _TILE // image.rgb.shape[0]))
+    times = max(1, _TILE // image.rgb.shape[0])
+    objects = Pillow.fromarray(enlarged(colours_of(labels), times))
+    draw_numbers(objects, labels, times)
+    parts = [enlarged(to_bytes(image.rgb), times), enlarged(to_bytes(grey), times), np.asarray(objects)]
+    return np.concatenate(parts, axis=1)
+
+
+def strips(images: Iterable[Image], names: Sequence[int]) -> Iterator[Picture]:
+    """Draw the strips of an animation; the depths of all of them have the scale of the first image."""
+    depths = None
+    for image in images:
+        depths = depths or _range(image)
+        yield strip(image, names, depths)
+
+
+def _range(image: Image) -> tuple[float, float]:
+    """Nearest and farthest depth, metres."""
+    return float(image.depth.min()), float(image.depth.max())
 
 
 def write_png(path: Path, picture: Picture) -> None:

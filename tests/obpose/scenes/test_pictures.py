@@ -5,7 +5,7 @@ import torch
 from PIL import Image as Pillow
 
 from obpose.pictures import PALETTE
-from obpose.scenes.pictures import strip, turntable, write_gif, write_png
+from obpose.scenes.pictures import strip, strips, turntable, write_gif, write_png
 from obpose.scenes.rendering import Image
 from tests.obpose.scenes.small_scenes import CAMERA
 
@@ -27,6 +27,22 @@ def test_a_strip_shows_colour_depth_and_the_objects_names():
     assert (picture[:, 256 + 128 : 512] == 255).all()
     np.testing.assert_array_equal(picture[0, 512], PALETTE[0])
     np.testing.assert_array_equal(picture[0, -1], PALETTE[7])
+
+
+def test_the_number_of_an_object_stands_at_its_centre():
+    picture = strip(image(), [1, 7])[:, 512:]
+    written = np.argwhere((picture != PALETTE[7]).any(axis=-1)[:, 128:])
+    assert len(written) > 20
+    np.testing.assert_allclose(written.mean(axis=0), [128, 64], atol=16)
+    np.testing.assert_array_equal(strip(image(), [1, 7])[:, 512:640], np.zeros((256, 128, 3)))
+
+
+def test_equal_depths_have_equal_brightness_in_all_strips_of_an_animation():
+    first, nearer = image(), image()
+    nearer.depth[0, 0] = 0.25
+    depths = [picture[8:, 256:512] for picture in strips([first, nearer], [1, 2])]
+    assert (depths[0][64:] == depths[1][64:]).all()
+    assert (strip(nearer, [1, 2])[64:, 384:512] < 255).all()
 
 
 def test_files_hold_what_was_drawn(tmp_path):
