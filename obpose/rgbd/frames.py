@@ -11,7 +11,7 @@ from datagen.geometry import unproject
 from obpose.config import Config
 from obpose.contact.config import ContactConfig
 from obpose.errors import NoTable, UsageError
-from obpose.model.resolution import surface_spacing
+from obpose.model.resolution import TOLERANCE, surface_spacing
 from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.reading import parse_pixel, parse_rectangle
 from obpose.rgbd.recording import Recording
@@ -126,8 +126,14 @@ def prepare(recording: Recording, frames: Frames, trained: Trained) -> PreparedF
         )
     every = frames.every or _step(spacing, trained.spacing, recording)
     reduced = recording.every(every)
-    warnings = (*_lens_doubts(recording), *_unit_doubts(recording), *warnings, *_holes(recording, reduced, every))
     observation = observe(reduced, world.poses, workspace, trained)
+    warnings = (
+        *_lens_doubts(recording),
+        *_unit_doubts(recording),
+        *warnings,
+        *_holes(recording, reduced, every),
+        *_too_coarse(observation, every, trained),
+    )
     note = _resolution_note(observation, every, trained)
     return PreparedFrames(recording, observation, world, workspace, every, note, warnings)
 
@@ -163,6 +169,17 @@ def _holes(recording: Recording, reduced: Recording, every: int) -> tuple[str, .
     return (
         f"Only {100 * picked:.0f} % of the pixels that --every {every} picks have a depth, and {100 * known:.0f} % of "
         "all: missing depth forms a grid. Give another --every.",
+    )
+
+
+def _too_coarse(observation: Observation, every: int, trained: Trained) -> tuple[str, ...]:
+    """Say that neighbouring pixels are farther apart than in training, and no smaller `every` can change it."""
+    spacing = surface_spacing(observation)
+    if not trained.learned or every > 1 or spacing is None or spacing <= TOLERANCE * trained.spacing:
+        return ()
+    return (
+        f"Neighbouring pixels are {spacing / trained.spacing:.1f} times as far apart as in training: small objects may "
+        "be missed. Take images of a higher resolution, or from nearer.",
     )
 
 

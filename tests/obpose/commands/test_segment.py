@@ -149,6 +149,21 @@ def test_a_scene_that_is_too_near_for_a_depth_camera_is_reported(scene: Path, tm
     assert "Check the metres per unit" in said
 
 
+def test_images_that_are_coarser_than_those_of_training_are_reported(scene: Path, tmp_path: Path):
+    for kind in ("rgb", "depth"):
+        (tmp_path / kind).mkdir()
+        for path in (scene / kind).iterdir():
+            Image.fromarray(np.array(Image.open(path))[::2, ::2]).save(tmp_path / kind / path.name)
+    half = ",".join(str(float(value) / 2) for value in (scene / "intrinsics").read_text().split(","))
+    coarse = {"rgb": tmp_path / "rgb", "depth": tmp_path / "depth"}
+    flags = ("--camera-pose", scene / "pose.txt")
+    assert run(scene, tmp_path / "coarse", "--intrinsics", half, *flags, **coarse) == EXIT_OK
+    (said,) = facts_of(tmp_path / "coarse")["warnings"]
+    assert said.startswith("Neighbouring pixels are 1.6 times as far apart as in training")
+    assert run(scene, tmp_path / "right", *flags) == EXIT_OK
+    assert facts_of(tmp_path / "right")["warnings"] == []
+
+
 def test_messages_about_intrinsics_name_their_source(scene: Path, tmp_path: Path, capsys):
     for kind in ("rgb", "depth"):
         shutil.copytree(scene / kind, tmp_path / "a" / kind)
