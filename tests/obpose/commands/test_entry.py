@@ -1,6 +1,7 @@
 """Entry points of the commands: what they import before they need it, and Ctrl-C while they do."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -58,6 +59,16 @@ def test_help_and_wrong_flags_import_nothing_slow(program: str):
     assert codes[-1] != EXIT_OK
     unwanted = SLOW if program == "obpose-datagen" else [*SLOW, "numpy"]
     assert [name for name in unwanted if name in modules] == []
+
+
+@pytest.mark.parametrize(("given", "threads"), [(None, 1), ("2", 2)])
+def test_edits_run_on_one_core_unless_the_user_says_otherwise(given: str | None, threads: int):
+    code = "from obpose.commands.entry import edit; edit(); import torch; print(torch.get_num_threads())"
+    environment = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
+    environment |= {} if given is None else {"OMP_NUM_THREADS": given}
+    command = [sys.executable, "-c", code, "--version"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.stdout.split()[-1] == str(threads)
 
 
 def test_the_default_of_a_flag_is_that_of_the_function():
