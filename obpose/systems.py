@@ -72,6 +72,9 @@ class System:
     """Further changes in the profile `cpu`, chosen for it by a search."""
     on_tracks: Mapping[str, Changes] = field(default_factory=dict)
     """Further changes for training on a track, by its name."""
+    at_test: Mapping[str, Changes] = field(default_factory=dict)
+    """Further changes for segmenting scenes of a track, by its name, whatever the weights were trained on. They do not
+    change the weights."""
 
     def config(self, profile: str = "cpu", changes: Changes | None = None) -> Any:
         """Make the configuration; `changes` are applied last.
@@ -82,6 +85,10 @@ class System:
         searched = searched_in(profile, self.searched)
         all_changes = {**self.architecture.profiles[profile], **self.changes, **searched, **(changes or {})}
         return override(self.architecture.config(), all_changes)
+
+    def changes_on(self, track: str) -> Changes:
+        """Changes for training on a track and segmenting its scenes; empty for other names."""
+        return {**self.on_tracks.get(track, {}), **self.at_test.get(track, {})}
 
     def known(self, changes: Changes) -> dict[str, Any]:
         """Select the changes whose names the configuration has: systems use different statistics of the scene."""
@@ -137,7 +144,9 @@ DESCRIPTIONS = {
 
 _LARGER_BOXES: Changes = {"model.pose.box_size": 0.35}
 """Changes for objects of up to 30 cm; objects of other tracks are at most 18 cm long, and boxes 20 cm."""
-_BIAS = {"moving": 1.5, "noisy": 1.0} | dict.fromkeys(("clevr3d", "multishape", "static"), 2.5)
+_BIAS = dict.fromkeys(("moving", "same-colour", "textured", "two-colour"), 1.5) | dict.fromkeys(
+    ("clevr3d", "multishape", "static"), 2.5
+)
 """Bias of tracks on which objects touch less often than in pasted images; in stills, no motion joins parts again."""
 _COMPLETED: Changes = {"model.pose.max_translation": 0.05}
 """Changes for few kinds of shapes, whose hidden sides can be learned from other views."""
@@ -218,13 +227,12 @@ SYSTEMS: dict[str, System] = {
         version=4,
         extra=("density",),
         on_tracks={
-            "clevr3d": {"contact.bias": _BIAS["clevr3d"], **_COMPLETED},
+            "clevr3d": _COMPLETED,
             "desk": _LARGER_BOXES,
-            "moving": {"contact.bias": _BIAS["moving"]},
-            "multishape": {"contact.bias": _BIAS["multishape"], **_LARGER_BOXES},
-            "noisy": {"contact.bias": _BIAS["noisy"], "contact.clean_depth": True},
-            "static": {"contact.bias": _BIAS["static"]},
+            "multishape": _LARGER_BOXES,
+            "noisy": {"contact.bias": 1.0, "contact.clean_depth": True},
         },
+        at_test={track: {"contact.bias": bias} for track, bias in _BIAS.items()},
     ),
 }
 """Systems by the names of the benchmark's models and of `obpose-train --variant`."""

@@ -85,7 +85,7 @@ def report(values: arguments.Report) -> int:
 
 def compare(values: arguments.Compare) -> int:
     """Print paired differences."""
-    found = paired.compare(values.run, values.one, values.other, progress=tracked)
+    found = paired.compare(values.run, values.one, values.other, progress=tracked, fit_track=values.fit_track)
     outputs.wide_console().print(paired.comparison_table(found, values.one, values.other))
     return EXIT_OK
 

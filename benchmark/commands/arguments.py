@@ -95,6 +95,9 @@ class Compare:
     """Name of the other model."""
     run: Path = DEFAULT_OUT
     """Run folder with the results of both, such as docs/results."""
+    fit_track: str | None = None
+    """Compare the first model, fitted on this track, with the other one fitted on each track that is scored. Default:
+    both were fitted on the same track."""
 
 
 @dataclass(frozen=True)

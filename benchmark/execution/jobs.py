@@ -17,7 +17,7 @@ from benchmark.execution.executor import FITTED, Limits, Outcome, run_jobs
 from benchmark.machine import commit, peak_mib
 from benchmark.models.adapters.predictions import PredictionFolder
 from benchmark.models.contract import check_prediction, check_reconstruction
-from benchmark.models.interface import Clip, Prediction, Reconstructs, Segmenter
+from benchmark.models.interface import Changeable, Clip, Prediction, Reconstructs, Segmenter
 from benchmark.models.model_spec import ModelSpec, Options
 from benchmark.models.registry import find_model
 from benchmark.models.tuning import choose
@@ -306,7 +306,13 @@ def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
 
 
 def _for_target(job: Job, fitted: _Fitted, target: Target) -> tuple[Segmenter, Options]:
-    """Return the fitted model; a model that learns nothing is rebuilt if the track has another number of slots."""
+    """Return the fitted model, with the changes of its settings on the track; given weights keep their settings.
+
+    A model that learns nothing is rebuilt if the track has another number of slots.
+    """
+    changes = None if job.checkpoint else fitted.spec.at_test.get(target.key.track)
+    if changes and isinstance(fitted.segmenter, Changeable):
+        return fitted.segmenter.with_changes(changes), fitted.options
     if fitted.spec.kind == "learned" or target.slots == job.fit_slots:
         return fitted.segmenter, fitted.options
     options = {**fitted.options, "slots": target.slots}

@@ -257,7 +257,7 @@ class _ModelSetup:
         # Omit default values, so that rows from before these options existed keep their keys.
         further = {
             "settings": self.spec.settings_in(profile),
-            "changes": dict(self.spec.on_tracks.get(self.fit.name, {})),
+            "changes": {**self.spec.on_tracks.get(self.fit.name, {}), **self.spec.at_test.get(source.name, {})},
             "slots": self.own_slots(source),
             "profile": profile if self.spec.kind == "learned" and profile != "cpu" else None,
         }

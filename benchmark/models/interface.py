@@ -80,6 +80,15 @@ class Segmenter(Protocol):
 
 
 @runtime_checkable
+class Changeable(Protocol):
+    """A model that segments some tracks with other settings than it was fitted with (`ModelSpec.at_test`)."""
+
+    def with_changes(self, changes: Mapping[str, object]) -> Segmenter:
+        """Return the fitted model with other values of settings, by dotted name."""
+        ...
+
+
+@runtime_checkable
 class Reconstructs(Protocol):
     """A model that can render clips; the report shows a few of its pictures beside its segmentations."""
 

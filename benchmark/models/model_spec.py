@@ -78,6 +78,9 @@ class ModelSpec:
     """Settings in profiles other than `cpu`, if they differ."""
     on_tracks: Mapping[str, Options] = field(default_factory=dict)
     """Changes of settings by dotted name, by the track that it is fitted on; passed as option `changes`."""
+    at_test: Mapping[str, Options] = field(default_factory=dict)
+    """Changes of settings by the track that is scored, whatever the model was fitted on; needs a
+    `benchmark.models.interface.Changeable`. Weights that are given keep their settings."""
     views: Views | None = None
     """Views that it uses, if declared."""
     configured: Callable[[Path], "ModelSpec"] | None = None

@@ -36,8 +36,8 @@ class Comparison:
     """Difference of model A's score from model B's, in one metric on one track."""
 
     track: str
-    fit_track: str
-    """Track that both models were fitted on."""
+    fit_tracks: tuple[str, str]
+    """Tracks that A and B were fitted on."""
     metric: str
     one: float
     two: float
@@ -55,9 +55,18 @@ class Comparison:
 
 
 def compare(
-    folder: Path, one: str, two: str, metrics: Iterable[str] = ALL_METRICS, progress: Tracker = untracked
+    folder: Path,
+    one: str,
+    two: str,
+    metrics: Iterable[str] = ALL_METRICS,
+    progress: Tracker = untracked,
+    *,
+    fit_track: str | None = None,
 ) -> list[Comparison]:
-    """Compare every metric on every track on which both models have scores, fitted on the same track.
+    """Compare every metric on every track on which both models have scores.
+
+    Both were fitted on the same track. If `fit_track` is given, the first was fitted on it, and the other one on the
+    track that is scored.
 
     Raises:
         UsageError: a model has no scores in this folder, or several results on a track, or the two have no track in
@@ -69,10 +78,18 @@ def compare(
     everything = unranked(*load_scores(folder, progress))
     results = [result for result in everything if result.n_scenes > 0]
     first, second = (_of_model(results, name, folder) for name in (one, two))
-    shared = [(first[place], second[place]) for place in first if place in second]
+    if fit_track is None:
+        shared = [(first[place], second[place]) for place in first if place in second]
+    else:
+        own = {(track, data): result for (track, fitted, data), result in second.items() if fitted == track}
+        there = [
+            (result, own.get((track, data))) for (track, fitted, data), result in first.items() if fitted == fit_track
+        ]
+        shared = [(a, b) for a, b in there if b is not None]
     if not shared:
         tracks = ", ".join(sorted({track for track, *_ in first}))
-        raise UsageError(f"{one} and {two} have no track in common in {folder}; run both on one of {tracks}.")
+        fitted = "" if fit_track is None else f", {one} fitted on {fit_track} and {two} on the track itself"
+        raise UsageError(f"{one} and {two} have no track in common in {folder}{fitted}; run both on one of {tracks}.")
     # Differences on every shared track, with p-values corrected over all of them.
     wanted = [(a, b, name) for a, b in shared for name in metrics]
     found = [(*line, compare_results(*line)) for line in progress(wanted, "resampling scenes")]
@@ -81,7 +98,8 @@ def compare(
     corrected = statistics.holm(np.array([line[3].p_value for line in found]))
     return [
         Comparison(
-            *a.place[:2],
+            a.place[0],
+            (a.place[1], b.place[1]),
             name,
             a.mean(name),
             b.mean(name),
@@ -96,7 +114,7 @@ def compare(
 def comparison_table(comparisons: Iterable[Comparison], one: str, two: str) -> Group:
     """Format comparisons for the terminal: one table per track, warnings below. Insignificant lines are grey."""
     comparisons = list(comparisons)
-    places = groupby(comparisons, key=lambda line: (line.track, line.fit_track))
+    places = groupby(comparisons, key=lambda line: (line.track, line.fit_tracks))
     tables = [_track_table(*place, list(lines)) for place, lines in places]
     warnings = dict.fromkeys(warning for line in comparisons for warning in line.warnings)
     return Group(
@@ -107,9 +125,11 @@ def comparison_table(comparisons: Iterable[Comparison], one: str, two: str) -> G
     )
 
 
-def _track_table(track: str, fit_track: str, lines: Sequence[Comparison]) -> Table:
+def _track_table(track: str, fit_tracks: tuple[str, str], lines: Sequence[Comparison]) -> Table:
     scenes = max(line.difference.n_scenes for line in lines)
-    title = Text(f"{one_line(place_title(track, fit_track))}, {counted(scenes, 'scene')}", "bold")
+    first, second = fit_tracks
+    place = place_title(track, first) if first == second else f"{track}, A fitted on {first} and B on {second}"
+    title = Text(f"{one_line(place)}, {counted(scenes, 'scene')}", "bold")
     table = Table(title=title, title_justify="left", title_style="", box=None, pad_edge=False)
     for name, width in COLUMNS.items():
         table.add_column(name, justify="left" if name == "metric" else "right", no_wrap=True, min_width=width)

@@ -130,7 +130,7 @@ def run(values: Train, score: "Score | None" = None) -> int:
     measured = system.known(measure_scene(source).changes())
     # Changes that follow from the track and the flags, from the scenes, and those that --set gives.
     chosen = {
-        **system.on_tracks.get(values.track or "", {}),
+        **system.changes_on(values.track or ""),
         **system.known(slots_for(data.slots)),
         "train.seed": values.seed,
     }

@@ -104,7 +104,7 @@ def test_objects_that_seldom_touch_are_divided_less_and_simple_shapes_are_comple
     track: str, bias: float, translation: float
 ):
     system = find_system("obpose-contact")
-    config = system.config("cpu", system.on_tracks.get(track, {}))
+    config = system.config("cpu", system.changes_on(track))
     assert (config.contact.bias, config.model.pose.max_translation) == (bias, translation)
 
 

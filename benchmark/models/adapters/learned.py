@@ -15,6 +15,7 @@ from benchmark.models.interface import RECONSTRUCTION_SIDE, Clip, Poses, Predict
 from benchmark.models.model_spec import settings_of
 from benchmark.models.validation import ValidationScorer
 from datagen.errors import UsageError
+from obpose.config import override
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, select_part, separate_views
 from obpose.data.scene_stats import measure_scene
 from obpose.geometry import sides_of_points, unproject
@@ -26,7 +27,7 @@ from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.rendering import Renderer
 from obpose.storage.checkpoint import load
-from obpose.systems import find_system, slots_for
+from obpose.systems import build_model, find_system, slots_for
 from obpose.trainable import Trainable
 from obpose.training.devices import keep_memory
 from obpose.training.loop import CurvePoint, train
@@ -100,6 +101,21 @@ class LearnedSegmenter:
             camera = camera.resized(round(scale * camera.width), round(scale * camera.height))
             rendered.append(to_bytes(renderer.render(scene, frame, camera, antialiased=False).rgb))
         return np.stack(rendered)
+
+    def with_changes(self, changes: Mapping[str, Any]) -> "LearnedSegmenter":
+        """Copy this segmenter; the copy has the same weights and other values of settings, by dotted name.
+
+        Raises:
+            KeyError: the configuration has no such name.
+        """
+        other = copy.copy(self)
+        other.config = override(self.config, dict(changes))
+        other.fitted_settings = settings_of(other.config)
+        with torch.random.fork_rng(devices=[]):
+            other._model = build_model(other.config).to(device_of(self._model))
+        other._model.load_state_dict(self._model.state_dict())
+        other._model.eval()
+        return other
 
     def looking_for(self, objects: int) -> "LearnedSegmenter":
         """Copy this segmenter; the copy looks for the given number of objects if its number of slots can be changed."""

@@ -339,6 +339,32 @@ def test_what_a_model_changes_on_a_track_reaches_it_and_its_row(data: Path, tmp_
     assert row.config["changes"] == {"size": 2}
 
 
+def changeable(register: Callable[..., Scripted], **facts: object) -> list[dict[str, object]]:
+    """Register a model that appends the changes which it gets to a list."""
+    model, changes = register(background, kind="learned", **facts), []
+
+    def with_changes(change: dict[str, object]) -> Scripted:
+        changes.append(change)
+        return model
+
+    model.with_changes = with_changes
+    return changes
+
+
+def test_a_model_is_changed_on_the_tracks_that_ask_for_it_and_fitted_once(data: Path, tmp_path: Path, register):
+    other = write_dataset(tmp_path / "other", scenes=1, frames=2)
+    changes = changeable(register, at_test={"other": {"bias": 2}})
+    job(data, tmp_path / "out", other).run()
+    assert changes == [{"bias": 2}]
+    assert len(find_model("scripted").build({}).fits) == 1
+
+
+def test_weights_that_are_given_keep_their_settings(data: Path, tmp_path: Path, register):
+    changes = changeable(register, at_test={data.name: {"bias": 2}})
+    job(data, tmp_path / "out", checkpoint=tmp_path / "mine").run()
+    assert changes == []
+
+
 def test_a_model_is_not_tuned_on_scenes_without_masks(tmp_path: Path, register):
     folder = import_balls(tmp_path, masks=("test",)).folder
     register(background)

@@ -113,6 +113,16 @@ def test_changes_on_a_track_are_part_of_the_key_there_and_nowhere_else(register)
     assert after["clevr3d"] != before["clevr3d"]
 
 
+def test_changes_at_test_are_part_of_the_key_on_that_track_and_share_the_training(register):
+    usual = {key.track: key.config_hash for key in plan(tracks=(MOVING, TOUCHING), fit_source=MIXED, seeds=1).keys}
+    register(at_test={"moving": {"bias": 2}})
+    changed = plan(tracks=(MOVING, TOUCHING), fit_source=MIXED, seeds=1)
+    hashes = {key.track: key.config_hash for key in changed.keys}
+    assert hashes["touching"] == usual["touching"]
+    assert hashes["moving"] != usual["moving"]
+    assert len(changed.jobs) == 1
+
+
 def test_further_segmentations_are_rows_of_the_same_work(register):
     register(extra=("att",))
     made = plan(seeds=2)

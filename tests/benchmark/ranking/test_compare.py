@@ -64,12 +64,23 @@ def test_rows_fitted_elsewhere_are_compared_among_themselves(folder: Path):
         row = run_row(model, "moving", n_scenes=N, fit_track="mixed", fit_spec="m")
         save_run(folder, row, scene_table({"ari_fg": np.ones(N)}))
     found = compare(folder, "a", "b", metrics=("ari_fg",))
-    assert [(line.track, line.fit_track) for line in found] == [
-        ("moving", "mixed"),
-        ("moving", "moving"),
-        ("static", "static"),
+    assert [(line.track, *line.fit_tracks) for line in found] == [
+        ("moving", "mixed", "mixed"),
+        ("moving", "moving", "moving"),
+        ("static", "static", "static"),
     ]
     assert found[0].difference.mean == 0
+
+
+def test_a_model_fitted_elsewhere_is_compared_with_one_fitted_on_the_track(folder: Path):
+    row = run_row("a", "moving", n_scenes=N, fit_track="mixed", fit_spec="m")
+    save_run(folder, row, scene_table({"ari_fg": np.ones(N)}))
+    (line,) = compare(folder, "a", "b", metrics=("ari_fg",), fit_track="mixed")
+    assert (line.track, *line.fit_tracks, line.one) == ("moving", "mixed", "moving", 1)
+    assert line.two == by_place(compare(folder, "a", "b"))["moving", "ari_fg"].two
+    assert "moving, A fitted on mixed and B on moving, 50 scenes" in printed([line])
+    with pytest.raises(UsageError, match="c fitted on static and b on the track itself"):
+        compare(folder, "c", "b", fit_track="static")
 
 
 def printed(found: list[Comparison]) -> str:
@@ -112,20 +123,21 @@ def difference(mean: float, low: float, high: float, p_value: float = 0.001, res
     ],
 )
 def test_what_is_significant_is_not_printed_as_nothing(found: Difference, corrected: float, expected: str):
-    line = Comparison("moving", "moving", "ari", 0.5, 0.4, found, corrected)
+    line = Comparison("moving", ("moving", "moving"), "ari", 0.5, 0.4, found, corrected)
     assert f"ari 0.500 0.400 {expected} " in printed([line])
 
 
 def test_significance_is_five_percent():
     lines = [
-        Comparison("m", "m", "ari", 0.5, 0.4, difference(0.1, 0.1, 0.1), p) for p in (0.0499, 0.05, 0.0999, np.nan)
+        Comparison("m", ("m", "m"), "ari", 0.5, 0.4, difference(0.1, 0.1, 0.1), p)
+        for p in (0.0499, 0.05, 0.0999, np.nan)
     ]
     assert [line.is_significant for line in lines] == [True, False, False, False]
 
 
 def test_names_are_no_markup():
     """Rows may come from anybody."""
-    line = Comparison("[red]t", "[/u]", "ari", 0.5, 0.4, difference(0.1, 0.1, 0.1), 0.01, ("[/v] failed",))
+    line = Comparison("[red]t", ("[/u]", "[/u]"), "ari", 0.5, 0.4, difference(0.1, 0.1, 0.1), 0.01, ("[/v] failed",))
     console = Console(width=200, record=True, file=io.StringIO(), force_terminal=True)
     console.print(comparison_table([line], "a", "[bold]x[/y]\x1b[2J"))
     text = console.export_text()

@@ -116,6 +116,21 @@ def test_settings_are_changed_by_dotted_name():
     assert model.parameters < fitted({}, clips(2)).parameters
 
 
+def test_settings_can_be_changed_after_training_and_the_model_stays_as_it_was():
+    model = find_model("ic-sbp").build({"slots": 4, "steps": 2})
+    model.fit(clips(2), [], seed=0, budget=60.0)
+    assert isinstance(model, LearnedSegmenter)
+    clip, settings, labels = clips(1)[0], model.fitted_settings, model.segment(clips(1)[0]).labels
+    fewer = model.with_changes({"model.slots": 2})
+    assert fewer.segment(clip).labels.max() == labels.max() - 1
+    assert fewer.fitted_settings
+    assert fewer.fitted_settings["model"]["slots"] == 2
+    # The weights are the same, and the model itself is not changed.
+    np.testing.assert_array_equal(fewer.with_changes({"model.slots": 3}).segment(clip).labels, labels)
+    np.testing.assert_array_equal(model.segment(clip).labels, labels)
+    assert model.fitted_settings == settings
+
+
 def test_clips_of_other_sizes_lengths_and_views_are_segmented(model: LearnedSegmenter):
     clip = clips(1, frames=1, views=2, resolution=(48, 36))[0]
     assert model.segment(clip).labels.shape == clip.depth.shape
