@@ -19,12 +19,13 @@ FINE = [[90, 0, 0], [0, 10, 0], [0, 0, 10]]
         ([[90, 0, 0, 0], [0, 8, 0, 2], [0, 0, 10, 0]], [{"split"}, set()]),
         ([[90, 0, 0, 0], [0, 9, 0, 1], [0, 0, 10, 0]], [set(), set()]),
         ([[87, 3, 0], [0, 10, 0], [0, 0, 10]], [{"leaked"}, set()]),
+        ([[88, 2, 0], [0, 8, 0], [0, 0, 10]], [{"leaked"}, set()]),
         ([[88, 2, 0], [0, 10, 0], [0, 0, 10]], [set(), set()]),
         ([[90, 0, 0], [4, 6, 0], [0, 0, 10]], [set(), set()]),
         ([[50, 40, 0, 0], [0, 6, 4, 0], [0, 10, 0, 0]], [{"merged", "split", "leaked"}, {"merged", "leaked"}]),
         ([[90, 0, 0], [0, 0, 0], [0, 0, 10]], [set(), set()]),
     ],
-    ids=["none", "merged", "missed", "split", "frayed", "leaked", "rim", "eaten", "several", "absent"],
+    ids=["none", "merged", "missed", "split", "frayed", "leaked", "fifth", "rim", "eaten", "several", "absent"],
 )
 def test_each_error_is_read_off_its_table(table: list[list[int]], expected: list[set[str]]) -> None:
     found = errors_by_type(np.array([table]), 0)[0]

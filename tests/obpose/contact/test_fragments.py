@@ -47,6 +47,12 @@ def test_the_bias_is_added_to_affinities_but_never_joins_distant_objects(bias: f
     assert found.attraction[0, 2] < 0
 
 
+def test_distant_fragments_weigh_as_much_as_the_pixels_of_the_smaller_one():
+    none = Pairs(np.zeros((2, 0), int), np.zeros(0))
+    evidence = gather([np.array([0, 0, 0, 1])], np.array([[0], [1]]), [none], bias=0.0)
+    np.testing.assert_allclose(evidence.weight, OVER_TIME * np.array([[0, 1], [1, 0]]))
+
+
 def test_joined_evidence_is_that_of_the_members():
     rng = np.random.default_rng(0)
     weight, attraction = (value + value.T for value in np.triu(rng.uniform(0.5, 2, (2, 6, 6)), 1))

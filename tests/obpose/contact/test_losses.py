@@ -56,6 +56,14 @@ def test_pull_and_push_are_squared_distances_beyond_the_margins():
     assert push.item() == pytest.approx((PUSH_MARGIN - 2) ** 2, rel=1e-3)
 
 
+def test_objects_pull_by_the_root_of_their_size():
+    labels = torch.tensor([[[1] * 4 + [2] * 16]])
+    embedding = torch.zeros(1, 1, 1, 20)
+    embedding[..., :4] = torch.tensor([-1.0, 1.0, -1.0, 1.0])  # all pixels of the smaller one 1 from their mean
+    pull, _ = embedding_loss(embedding, labels)
+    assert pull.item() == pytest.approx((1 - PULL_MARGIN) ** 2 * 2 / (2 + 4), rel=1e-3)
+
+
 def test_images_without_objects_cost_nothing():
     labels, embedding = torch.zeros(2, 8, 8, dtype=torch.int64), torch.randn(2, 3, 8, 8)
     assert [float(term) for term in embedding_loss(embedding, labels)] == [0, 0]

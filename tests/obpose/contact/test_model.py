@@ -7,6 +7,7 @@ import torch
 from obpose.config import override
 from obpose.contact.config import ContactConfig, ContactModelConfig, check_contact_bounds
 from obpose.contact.images import Images, augmented, cropped, images_of
+from obpose.contact.losses import PULL_MARGIN
 from obpose.contact.model import ContactModel
 from obpose.contact.network import UNet
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of
@@ -86,6 +87,20 @@ def test_crops_hold_the_objects(observation: PastedObservation, seed: int):
 def test_networks_take_images_of_any_size():
     network = UNet(3, 5)
     assert network(torch.randn(2, 3, 13, 21)).shape == (2, 5, 13, 21)
+
+
+@pytest.mark.parametrize(("places", "colours", "apart"), [(1, 0, True), (0, 1, True), (0, 0, False)])
+def test_objects_differ_by_place_and_colour_whatever_the_network_says(
+    observation: PastedObservation, places: int, colours: int, apart: bool
+):
+    model = ContactModel(ContactConfig())
+    for weights in model.network.head[-1].parameters():
+        torch.nn.init.zeros_(weights)
+    images = arranged(observation)
+    rgb = 0.5 * colours * images.labels[:, None].expand_as(images.rgb)
+    embedding = model.outputs(replace(images, points=places * images.points, rgb=rgb)).embedding.movedim(1, -1)
+    first, second = (embedding[images.labels == label].mean(dim=0) for label in (1, 2))
+    assert ((first - second).norm() > 2 * PULL_MARGIN) == apart
 
 
 def test_training_steps_reduce_the_loss(observation: PastedObservation):

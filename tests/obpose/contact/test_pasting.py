@@ -109,6 +109,54 @@ def test_pasted_objects_keep_their_height_though_they_are_farther_away_or_nearer
     assert max(moved) > 0.05
 
 
+def test_objects_that_would_look_much_larger_or_smaller_are_not_pasted():
+    near, far = (
+        next(pseudo_scenes(source([place], eye=(0.7, 0.0, 0.6)).window(0, 0, 1), **SETTINGS))
+        for place in ((0.25, 0.0), (-0.25, 0.0))
+    )
+    found = [next(pastings(*pair), None) for pair in ((near, near), (near, far), (far, near))]
+    assert [pasting is not None for pasting in found] == [True, False, False]
+
+
+def drawn(*pixels: tuple[slice | int, slice | int]) -> PseudoScene:
+    """An image from above in random colours, in which these pixels are the only object."""
+    scene = next(pseudo_scenes(source([(0.0, 0.0)]).window(0, 0, 1), **SETTINGS))
+    labels = np.zeros_like(scene.labels)
+    for rows, columns in pixels:
+        labels[rows, columns] = 1
+    rgb = np.random.default_rng(0).random(scene.rgb.shape).astype(np.float32)
+    return replace(scene, rgb=rgb, labels=labels)
+
+
+def test_half_of_the_objects_are_mirrored():
+    scene = drawn((slice(20, 26), 30), (25, slice(30, 40)))  # an L
+    mirrored = []
+    for seed in range(100):
+        cutout = cut_out(scene, np.random.default_rng(seed))
+        mirrored.append(cutout.columns.mean() < 32)
+        columns = 63 - cutout.columns if mirrored[-1] else cutout.columns
+        assert (scene.labels[cutout.rows, columns] == 1).all()
+        assert np.array_equal(cutout.rgb, scene.rgb[cutout.rows, columns])
+    assert 30 < sum(mirrored) < 70
+
+
+def test_the_background_does_not_tint_the_border_of_objects():
+    scene = drawn((slice(20, 29), slice(20, 29)))
+    scene.rgb[21:28, 21:28] = 0.5
+    assert (cut_out(scene, np.random.default_rng(0)).rgb == 0.5).all()
+
+
+def test_half_of_the_pasted_objects_take_the_colour_of_the_other_object():
+    scene, own = seen_at_an_angle(), np.array([0.2, 0.4, 0.6], np.float32)
+    other = replace(scene, rgb=0 * scene.rgb + own)
+    kept = []
+    for _, found in pastings(scene, other):
+        colour = found.rgb[found.labels == 2].mean(axis=0)
+        kept.append(np.allclose(colour, own, atol=1e-3))
+        assert kept[-1] or np.allclose(colour, scene.rgb[scene.labels == 1].mean(axis=0), atol=0.1)
+    assert 30 < sum(kept) < 70
+
+
 def test_pasted_objects_are_visible_and_leave_others_visible():
     """Small ones are not hidden by a ball, and balls do not hide small ones."""
     scene = seen_at_an_angle()
@@ -127,13 +175,25 @@ def test_pasted_objects_hide_what_is_behind_them(clips: ArrayClips):
         assert torch.all(image["pseudo_labels"][changed] > 0)
 
 
-def test_most_pasted_objects_touch_another_one(clips: ArrayClips):
-    def adjoins(labels: np.ndarray) -> bool:
-        pairs = [(labels[1:], labels[:-1]), (labels[:, 1:], labels[:, :-1])]
-        return any(np.any((a != b) & (a > 0) & (b > 0)) for a, b in pairs)
+def adjoins(labels: np.ndarray) -> bool:
+    pairs = [(labels[1:], labels[:-1]), (labels[:, 1:], labels[:, :-1])]
+    return any(np.any((a != b) & (a > 0) & (b > 0)) for a, b in pairs)
 
+
+def test_most_pasted_objects_touch_another_one(clips: ArrayClips):
     images = [image["pseudo_labels"][0, 0].numpy() for image in pasted(clips)]
     assert sum(map(adjoins, images)) > len(images) / 2
+
+
+def test_few_objects_are_pasted_where_they_touch_none_though_most_places_are_so():
+    long, small = drawn((32, slice(12, 52))), drawn((slice(30, 34), slice(30, 34)))
+    touching = [adjoins(found.labels) for _, found in pastings(long, small)]
+    assert 0.7 < np.mean(touching) < 1
+
+
+def test_nothing_is_pasted_into_images_with_many_objects():
+    many = source([(x, y) for x in (-0.2, 0.0, 0.2) for y in (-0.2, 0.0, 0.2)])
+    assert [int(image["pseudo_labels"].max()) for image in pasted(many, 5)] == [9] * 5
 
 
 def test_the_image_with_the_most_objects_is_used():
@@ -169,6 +229,18 @@ def test_narrow_holes_do_not_divide_objects_and_belong_to_them_only_if_cleaned()
         of_clip = PastedClips(clips, **SETTINGS, seed=0).pseudo_labels(holed)
         assert of_clip[0, 0].max() == count
         assert not of_clip[0, 0][tuple(hole)].any()
+
+
+def test_objects_stand_on_the_table_at_any_height():
+    image = source([(-0.15, 0.05), (0.1, -0.1)]).window(0, 0, 1)
+    raised = {**image, "world_from_camera": image["world_from_camera"].clone()}
+    raised["world_from_camera"][:, 2, 3] += 0.3
+    one, other = (
+        next(pseudo_scenes(window, **{**SETTINGS, "table": table})).labels
+        for window, table in ((image, 0.0), (raised, 0.3))
+    )
+    assert one.max() == 2
+    assert np.array_equal(one, other)
 
 
 @pytest.mark.parametrize("clean", [False, True])

@@ -70,9 +70,23 @@ def test_every_weight_is_trained(model: ContactObPose, clips: ArrayClips):
     model.zero_grad()
 
 
+def test_fields_learn_from_the_masks(model: ContactObPose, clips: ArrayClips, monkeypatch):
+    """The total depends on a factor of the assignment loss, by an amount that depends on the fields."""
+    factor = torch.ones((), requires_grad=True)
+    monkeypatch.setattr("obpose.contact.scene_model.assignment_loss", lambda *values: factor * assignment_loss(*values))
+    observation = observation_of([model.training_source(clips).window(0, 0, 2)], ContactObservation)
+    total = model.losses(observation, step=1, generator=torch.Generator().manual_seed(0))["total"]
+    (part,) = torch.autograd.grad(total, factor, create_graph=True)
+    gradients = torch.autograd.grad(part, [*model.object_field.parameters()], allow_unused=True)
+    assert part > 0
+    assert any(gradient is not None and gradient.any() for gradient in gradients)
+
+
 def test_parameters_are_grouped_in_their_order(model: ContactObPose):
-    grouped = [parameter for group, _ in model.parameter_groups() for parameter in group]
-    assert [*map(id, grouped)] == [*map(id, model.parameters())]
+    (others, slow), (contact, fast) = model.parameter_groups()
+    assert [*map(id, others + contact)] == [*map(id, model.parameters())]
+    assert [*map(id, contact)] == [*map(id, model.contact.parameters())]
+    assert fast > slow
 
 
 def test_objects_are_those_of_the_contact_model_however_many(model: ContactObPose, clips: ArrayClips):

@@ -26,7 +26,16 @@ def test_the_box_of_a_cuboid_is_the_cuboid(size: tuple[float, float, float], ang
 def test_stray_points_do_not_count():
     points = cuboid((0.2, 0.1, 0.1), 0.3, (0.0, 0.0, 0.2))
     stray = np.concatenate([points, [[1.0, 0, 0.2], [0, 0, 2.0], [0, -1, 0.2]]])
-    np.testing.assert_allclose(upright_box(stray).size[2], 0.1, rtol=0.05)
+    np.testing.assert_allclose(upright_box(stray).size, [0.2, 0.1, 0.1], rtol=0.05)
+
+
+@pytest.mark.parametrize("size", [(0.2, 0.1, 0.3), (0.1, 0.2, 0.3)])
+def test_the_box_is_where_the_points_are_though_most_of_them_are_at_one_corner(size: tuple[float, float, float]):
+    points = cuboid(size, 0.0, (0.0, 0.0, 0.4))
+    corner = points[(points[:, 0] > 0.02) & (points[:, 1] > 0.03)]
+    cosine, sine = np.cos(0.4), np.sin(0.4)
+    turned = np.concatenate([points, *[corner] * 9]) @ np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+    np.testing.assert_allclose(upright_box(turned).center, [0, 0, 0.4], atol=0.006)
 
 
 def test_boxes_near_the_table_stand_on_it():

@@ -74,6 +74,20 @@ def test_pixels_far_from_what_is_labelled_are_background(world: tuple[PreparedFr
     assert np.mean(labels[truth > 1] > 0) < 0.1
 
 
+def test_pixels_far_from_all_reduced_points_are_background(world: tuple[PreparedFrames, np.ndarray]):
+    """The method sees nothing within 15 cm of a ball, and takes all the rest for objects."""
+    frames, truth = world
+    valid = frames.observation.valid.clone()
+    for frame, ball in enumerate(truth == 1):
+        points = frames.points(frame)
+        near = np.linalg.norm(points - points[ball].mean(axis=0), axis=-1) < 0.15
+        valid[0, frame, 0] &= torch.from_numpy(~near[EVERY // 2 :: EVERY, EVERY // 2 :: EVERY])
+    unseen = replace(frames, observation=replace(frames.observation, valid=valid))
+    labels = segment_frames(unseen, lambda observation: np.ones(observation.depth[0, :, 0].shape, np.int64))
+    assert not labels[truth == 1].any()
+    assert np.mean(labels[truth > 1] > 0) > 0.9
+
+
 def test_nothing_is_found_where_nothing_is_labelled(world: tuple[PreparedFrames, np.ndarray]):
     frames, truth = world
     assert not segment_frames(frames, knows(0 * truth)).any()

@@ -74,3 +74,14 @@ def test_parts_that_turn_over_together_tumble(axis: str, degrees: float, slip: f
     frames = [cloud(one, other), cloud(one @ turn.T + shift(5), slipped @ turn.T + shift(5))]
     found = common_motion(frames, [np.repeat([0, 1], 200)] * 2).tumbling
     assert np.array_equal(found, tumbling * (1 - np.eye(2, dtype=int)).astype(bool))
+
+
+@pytest.mark.parametrize(("radius", "tumbling"), [(0.0005, False), (0.02, True)])
+def test_parts_tumble_only_if_their_points_move(radius: float, tumbling: bool):
+    """Two halves of a rod that turns about its axis; its points move only if it is thick."""
+    angles = np.pi / 2 * np.arange(20)
+    rod = np.stack([radius * np.cos(angles), 0.004 * np.arange(20), radius * np.sin(angles)], axis=-1)
+    turn = Rotation.from_euler("y", 15, degrees=True).as_matrix()
+    found = common_motion([cloud(rod), cloud(rod @ turn.T)], [np.repeat([0, 1], 10)] * 2)
+    assert found.excess[0, 1] < 1e-6
+    assert found.tumbling[0, 1] == tumbling
