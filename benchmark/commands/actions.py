@@ -92,7 +92,10 @@ def compare(values: arguments.Compare) -> int:
 
 def pack(values: arguments.Pack) -> int:
     """Add rows to a packed folder."""
-    added = packing.pack(values.run, values.out)
+    try:
+        added = packing.pack(values.run, values.out)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("Interrupted; rows packed before are kept. Run the same command again.") from None
     rows = len(load_runs(values.out))
     Console().print(terminal(f"{counted(added, 'row')} added to {values.out}, which has {rows} now."), soft_wrap=True)
     return EXIT_OK

@@ -35,7 +35,7 @@ from benchmark.results.packed_runs import (
 )
 from benchmark.results.run_folder import RUNS, RunRow, check_runs, digest, load_runs, load_scenes, plain_values
 from datagen.errors import UsageError
-from datagen.storage.atomic import write_atomically
+from datagen.storage.atomic import target_name, updated_folder, write_atomically
 
 PACKED_FILES = (ROWS_FILE, SCENES_FILE, CURVES_FILE)
 
@@ -68,7 +68,7 @@ class Result:
 def pack(runs: Sequence[Path], out: Path) -> int:
     """Add all rows of run folders to a packed folder, made if missing; the same rows give the same bytes.
 
-    The tables are always written again.
+    The tables are always written again. An interrupt leaves no new folder, and keeps what an old one has.
 
     Returns:
         The number of rows that were added; the others were there already.
@@ -157,15 +157,16 @@ class _Archive:
         return Path(os.path.relpath(folder, self.folder)).as_posix()
 
     def write(self) -> None:
-        """Write all files; the rows last, which make the others count."""
-        write_scenes(self.folder, self.scenes)
-        write_curves(self.folder, self.curves)
-        write_rows(self.folder, self.rows.values())
-        entries = load_standings(self.folder)
-        for name, lines in (("leaderboard.csv", leaderboard_lines(entries)), ("per_seed.csv", seed_lines(entries))):
-            write_atomically(self.folder / name, to_csv(lines).encode())
-        there = [name for name in (*leaderboard.PACKED, *PACKED_FILES) if (self.folder / name).exists()]
-        write_manifest(self.folder, entries, there)
+        """Write all files; the rows after scores and curves, which they refer to."""
+        with updated_folder(self.folder, (*reversed(PACKED_FILES), *leaderboard.PACKED, MANIFEST)) as folder:
+            write_scenes(folder, self.scenes)
+            write_curves(folder, self.curves)
+            write_rows(folder, self.rows.values())
+            entries = load_standings(folder)
+            for name, lines in (("leaderboard.csv", leaderboard_lines(entries)), ("per_seed.csv", seed_lines(entries))):
+                write_atomically(folder / name, to_csv(lines).encode())
+            there = [name for name in (*leaderboard.PACKED, *PACKED_FILES) if (folder / name).exists()]
+            write_manifest(folder, entries, there)
 
 
 def _results(folder: Path, rows: Sequence[RunRow]) -> Iterator[Result]:
@@ -174,11 +175,12 @@ def _results(folder: Path, rows: Sequence[RunRow]) -> Iterator[Result]:
 
 
 def _others(folder: Path) -> list[Path]:
-    """Find the other packed folders of a folder's tree."""
+    """Find the other packed folders of a folder's tree, without those of killed processes."""
     root = folder
     while is_packed(root.parent):
         root = root.parent
-    return sorted(path.parent for path in root.rglob(ROWS_FILE) if path.parent != folder)
+    found = sorted(path.parent for path in root.rglob(ROWS_FILE) if path.parent != folder)
+    return [other for other in found if target_name(other) == other.name]
 
 
 def _check_target(folder: Path) -> None:

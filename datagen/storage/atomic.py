@@ -10,7 +10,7 @@ import shutil
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
@@ -91,6 +91,28 @@ def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
         except OSError:
             check_new_folder(folder)
             raise
+
+
+@contextmanager
+def updated_folder(folder: Path, names: Sequence[str]) -> Iterator[Path]:
+    """Yield a copy of the files with these names in `folder`, which replaces them if the block succeeds.
+
+    Files are replaced one by one in the order of `names`; a missing folder appears as a whole.
+
+    Raises:
+        DatagenError: it cannot be written.
+    """
+    with _temporary_folder(folder, folder.resolve()) as temporary:
+        for name in names:
+            if (folder / name).exists():
+                shutil.copy2(folder / name, temporary)
+        yield temporary
+        if not folder.exists():
+            temporary.rename(folder.resolve())
+            return
+        for name in names:
+            if (temporary / name).exists():
+                os.replace(temporary / name, folder / name)
 
 
 def _exchange(old: Path, new: Path) -> None:

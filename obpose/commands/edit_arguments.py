@@ -1,9 +1,9 @@
 """The command `obpose-edit`: infer, sample, change and render scenes of a trained model.
 
-obpose-edit infer --checkpoint obpose--moving--64x64 --data DIR --out a     what is in test scene 0
-obpose-edit infer --checkpoint obpose--moving--64x64 --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240 --out a
-obpose-edit sample --checkpoint obpose-contact--moving--64x64 --out b       a new scene
-obpose-edit move a --object 2 --by 0.1,0,0 --out c                          add, remove, rotate and swap likewise
+obpose-edit infer --checkpoint obpose-contact--moving--64x64 --data DIR --out a   what is in test scene 0
+obpose-edit infer FRAMES --checkpoint obpose-contact--moving--64x64 --out a       what is in frames of your own
+obpose-edit sample --checkpoint obpose-contact--moving--64x64 --out b             a new scene
+obpose-edit move a --object 2 --by 0.1,0,0 --out c                                add, remove, rotate and swap likewise
 obpose-edit render c --turntable 24 --out turn.gif
 obpose-edit mesh c --object 2 --out object.glb
 """

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
@@ -88,7 +89,7 @@ def run(values: Train, score: "Score | None" = None) -> int:
     """Prepare the data, train, and say where everything is."""
     # Late, because --help and wrong flags need no NumPy.
     with interruptible_imports(PROGRAM):
-        from datagen.storage.atomic import check_no_dataset
+        from datagen.storage.atomic import check_no_dataset, locked_folder
         from datagen.storage.reader import Dataset
         from datagen.tracks import DataFolder, find_track
 
@@ -137,6 +138,9 @@ def run(values: Train, score: "Score | None" = None) -> int:
     chosen |= {"train.steps": values.steps} | ({} if values.minutes is None else {"train.minutes": values.minutes})
     config = system.config(values.profile, chosen | measured | changes)
     system.architecture.check(config)
+    if _process() == 0:  # fails before the announcement if the folder cannot be written
+        with locked_folder(out), TemporaryFile(dir=out):
+            pass
     minutes, steps = config.train.minutes, config.train.steps
     budget = counted(minutes, "minute") if steps is None else counted(steps, "step")
     console.print(f"Training {values.variant} on {data.name}, {budget}, into {out}", markup=False)

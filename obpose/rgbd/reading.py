@@ -11,6 +11,8 @@ from obpose.errors import UsageError
 from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.recording import Recording, named_files, parse_intrinsics, read_recording
 
+_LEAST_EDGE = 8
+"""Least height and width in pixels of the images that a given `--every` leaves."""
 _EXAMPLE = '{"fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5, "depth_scale": 0.001}'
 
 
@@ -24,7 +26,7 @@ def read_frames(frames: Frames) -> Recording:
     if frames.depth_scale is not None and not 0 < frames.depth_scale < math.inf:
         raise UsageError(f"--depth-scale is {frames.depth_scale:g}; expected more than 0, and finite.")
     if frames.every is not None and frames.every < 1:
-        raise UsageError(f"--every {frames.every}: expected 1 or a little more.")
+        raise UsageError(f"--every {frames.every}: expected 1 or more.")
     if frames.depth_max is not None and not frames.depth_max > 0:
         raise UsageError(f"--depth-max is {frames.depth_max:g}; expected metres, more than 0.")
     files, camera = _files(frames)
@@ -33,8 +35,19 @@ def read_frames(frames: Frames) -> Recording:
     if frames.depth_max is not None:
         recording = replace(recording, depth=np.where(recording.depth > frames.depth_max, 0, recording.depth))
     if frames.every is not None:
-        recording.every(frames.every)  # raises an error if the images are too small
+        _check_every(frames.every, recording)
     return recording
+
+
+def _check_every(every: int, recording: Recording) -> None:
+    """Check that the reduced images are large enough; frames in full resolution may have any size."""
+    height, width = recording.depth.shape[1:]
+    rows, columns = (len(range(every // 2, edge, every)) for edge in (height, width))
+    if every > 1 and min(rows, columns) < _LEAST_EDGE:
+        raise UsageError(
+            f"--every {every} leaves {columns}x{rows} of the {width}x{height} pixels; expected at least {_LEAST_EDGE} "
+            "along each edge. Give a smaller one, or leave it out."
+        )
 
 
 def _files(frames: Frames) -> tuple[FrameFiles, Camera]:

@@ -11,7 +11,7 @@ from obpose.model.obpose import ObPose
 from obpose.scenes.scene import Scene
 from obpose.storage.checkpoint import MODEL, load_obpose, read_config
 from obpose.storage.pretrained import find_checkpoint
-from obpose.systems import architecture_of
+from obpose.systems import SYSTEMS, architecture_of
 from obpose.trainable import Configuration
 
 
@@ -46,17 +46,20 @@ def check_poses(config: Configuration, place: str) -> None:
     Raises:
         UsageError: the objects have no poses.
     """
-    architecture = architecture_of(config)
+    if _has_poses(config):
+        return
     if isinstance(config, Config):
-        if config.model.pose.conditioning in ("location", "full"):
-            return
         what = f"with model.pose.conditioning={config.model.pose.conditioning}"
     else:
-        what = f"of the architecture {architecture.name}"
+        what = f"of the architecture {architecture_of(config).name}"
+    expected = ", ".join(name for name, system in SYSTEMS.items() if _has_poses(system.config()))
     raise UsageError(
-        f"{place} holds a model {what}, whose objects have no pose that could be edited; give one of obpose or "
-        "obpose-loc."
+        f"{place} holds a model {what}, whose objects have no pose that could be edited; give one of {expected}."
     )
+
+
+def _has_poses(config: Configuration) -> bool:
+    return isinstance(config, Config) and config.model.pose.conditioning in ("location", "full")
 
 
 def origin_of(scene: Scene, checkpoint: str | None = None) -> Origin:

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from signal import SIGTERM
 
 import pytest
 
@@ -14,7 +15,7 @@ from benchmark.execution import plan
 from benchmark.execution.executor import Limits
 from benchmark.execution.jobs import run_all
 from benchmark.results.run_folder import RunRow, load_runs
-from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
+from datagen.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE
 from datagen.tracks import DataFolder
 from tests import fake_plugins
 from tests.paths import ROOT
@@ -200,6 +201,14 @@ def test_scores_stay_as_they_were_where_one_label_map_is_missing(copy: Path, cap
     assert run_cli("rescore", copy) != EXIT_OK
     assert "is missing" in capsys.readouterr().err
     assert {path.read_text() for path in (copy / "scenes").iterdir()} == {"as they were"}
+
+
+def test_an_interrupt_of_pack_promises_only_what_was_packed_before(finished: Path, tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.setattr("benchmark.ranking.pack.write_manifest", lambda *_arguments: os.kill(os.getpid(), SIGTERM))
+    assert run_cli("pack", finished, "--out", tmp_path / "packed") == EXIT_INTERRUPTED
+    error = capsys.readouterr().err
+    assert error == "obpose-bench: Interrupted; rows packed before are kept. Run the same command again.\n"
+    assert not list(tmp_path.iterdir())
 
 
 def test_packed_results_are_compared_and_reported_and_never_run_into(

@@ -7,10 +7,12 @@ import pytest
 
 from benchmark.commands import outputs
 from benchmark.ranking import leaderboard
+from benchmark.ranking import pack as packing
 from benchmark.ranking.pack import pack
 from benchmark.results.packed_runs import CURVES_FILE, ROWS_FILE, SCENES_FILE, stored_curves, stored_rows, stored_scenes
 from benchmark.results.run_folder import Measured, RunRow, SceneTable, load_runs, load_scenes
 from datagen.errors import CorruptFile, UsageError
+from datagen.storage.atomic import temporary_path
 from tests.chosen_scores import failed_row, run_row, save_run, scene_table
 
 CURVE = [{"step": 1.0, "seconds": 60.0, "ari_fg": 1 / 3}]
@@ -181,6 +183,31 @@ def test_a_folder_with_other_files_is_refused(tmp_path: Path, name: str):
     with pytest.raises(UsageError, match=f"holds {name}"):
         pack([run], tmp_path / "out")
     assert [path.name for path in (tmp_path / "out").iterdir()] == [name]
+
+
+@pytest.mark.parametrize("present", [False, True])
+def test_an_interrupt_leaves_nothing_or_the_old_content(tmp_path: Path, present: bool, monkeypatch: pytest.MonkeyPatch):
+    def interrupt(_folder: Path) -> None:
+        raise KeyboardInterrupt
+
+    if present:
+        pack([run_folder(tmp_path / "run", learned())], tmp_path / "out")
+    more = run_folder(tmp_path / "more", learned(0.2, seed=1))
+    before = contents(tmp_path)
+    monkeypatch.setattr(packing, "load_standings", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        pack([more], tmp_path / "out")
+    assert contents(tmp_path) == before
+    assert (tmp_path / "out").exists() == present
+
+
+def test_what_a_killed_process_left_is_not_referred_to(tmp_path: Path):
+    pack([run_folder(tmp_path / "run", learned())], tmp_path / "out")
+    run = run_folder(tmp_path / "more", learned(0.2, seed=1))
+    pack([run], tmp_path / "out" / temporary_path(Path("killed")))
+    pack([run], tmp_path / "out" / "new")
+    shutil.rmtree(tmp_path / "out" / temporary_path(Path("killed")))
+    agree(run, tmp_path / "out" / "new")
 
 
 def test_damage_is_found_before_anything_is_written(tmp_path: Path):

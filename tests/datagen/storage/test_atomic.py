@@ -21,6 +21,7 @@ from datagen.storage.atomic import (
     replacing,
     target_name,
     temporary_path,
+    updated_folder,
     write_atomically,
 )
 
@@ -285,4 +286,19 @@ def test_a_folder_is_replaced_only_once_the_new_one_is_complete(tmp_path):
         (temporary / "new").touch()
         assert os.listdir(tmp_path / "out") == ["old"]
     assert os.listdir(tmp_path / "out") == ["new"]
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_an_updated_folder_keeps_its_files_unless_all_new_ones_are_complete(tmp_path: Path):
+    def update(content: str, meanwhile: Callable[[], None] = lambda: None) -> None:
+        with updated_folder(tmp_path / "out", ("first", "second")) as temporary:
+            (temporary / "second").write_text(content)
+            meanwhile()
+
+    update("old")
+    update("new")
+    with pytest.raises(ZeroDivisionError):
+        update("half", fail)
+    assert (tmp_path / "out" / "second").read_text() == "new"
+    assert os.listdir(tmp_path / "out") == ["second"]
     assert os.listdir(tmp_path) == ["out"]

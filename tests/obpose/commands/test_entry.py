@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,8 +11,10 @@ from pathlib import Path
 import pytest
 
 from datagen.errors import EXIT_INTERRUPTED, EXIT_OK
-from obpose.commands.edit_arguments import Infer
+from obpose.commands.edit_arguments import Infer, main
+from obpose.commands.train import Train
 from obpose.scenes.refine import STEPS
+from obpose.storage.pretrained import shipped_names
 from tests.processes import wait_until
 
 COMMANDS = {
@@ -69,6 +72,13 @@ def test_edits_run_on_one_core_unless_the_user_says_otherwise(given: str | None,
     command = [sys.executable, "-c", code, "--version"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert done.stdout.split()[-1] == str(threads)
+
+
+def test_the_help_of_edits_names_weights_that_ship_of_the_default_model(capsys: pytest.CaptureFixture[str]):
+    assert main([]) == EXIT_OK
+    named = set(re.findall(r"\S+--\S+--\S+", capsys.readouterr().out))
+    assert {name.split("--")[0] for name in named} == {Train.variant}
+    assert named <= set(shipped_names())
 
 
 def test_the_default_of_a_flag_is_that_of_the_function():

@@ -10,7 +10,7 @@ import pytest
 
 from benchmark.commands.train import ari_fg
 from datagen.config import Objects
-from datagen.errors import EXIT_USAGE
+from datagen.errors import EXIT_INCOMPLETE, EXIT_USAGE
 from datagen.tracks import Track
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.model import Obsurf
@@ -174,6 +174,14 @@ def test_values_of_which_nothing_can_be_made_leave_no_run(
     assert main(["--data", str(data), "--out", str(run), "--set", "train.steps=-3"]) == 2
     assert capsys.readouterr().err == "obpose-train: train.steps is -3; expected 1 or more.\n"
     assert not run.exists()
+
+
+def test_a_place_that_cannot_be_written_is_reported_alone(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "file").touch()
+    assert main(["--data", str(data), "--steps", "1", "--out", str(tmp_path / "file" / "run")]) == EXIT_INCOMPLETE
+    assert capsys.readouterr().err == f"obpose-train: {tmp_path}/file/run: Not a directory.\n"
 
 
 @pytest.mark.slow

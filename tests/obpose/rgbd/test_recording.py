@@ -82,8 +82,6 @@ def test_selected_pixels_keep_their_rays(tmp_path: Path):
     np.testing.assert_allclose(rays, pixel_rays(k, width, height)[1::3, 1::3], atol=1e-12)
     np.testing.assert_array_equal(few.depth, whole.depth[:, 1::3, 1::3])
     np.testing.assert_array_equal(whole.every(1).k, k)
-    with pytest.raises(UsageError, match="--every 10: the images are 13x9"):
-        whole.every(10)
 
 
 def cases(folder: Path) -> dict[str, tuple[list[Path], list[Path], str]]:
