@@ -36,6 +36,7 @@ from obpose.scenes.priors.sample import default_camera, sample_scene
 from obpose.scenes.rendering import Image, Renderer
 from obpose.scenes.scene import Camera, Scene, axis_rotation
 from obpose.scenes.storage import load_scene, save_scene
+from obpose.storage.pretrained import shipped_to_create
 
 FPS = 8.0
 MOST_OBJECTS = 100
@@ -63,7 +64,8 @@ def infer(values: Infer) -> None:
     if not 0 <= values.refine <= MOST_REFINEMENTS:
         raise UsageError(f"--refine {values.refine}: expected 0 to {MOST_REFINEMENTS}.")
     _size(values.resolution)
-    origin = load_origin(values.checkpoint)
+    recipe = "moving" if values.data is None else SceneDataset(values.data, values.split).recipe
+    origin = load_origin(values.checkpoint or shipped_to_create(recipe))
     if values.data is not None:
         # A clip of a dataset.
         place = (values.data, values.split, values.scene)

@@ -1,7 +1,7 @@
 """The command `obpose-edit`: infer, sample, change and render scenes of a trained model.
 
-obpose-edit infer --checkpoint obpose-contact--moving--64x64 --data DIR --out a   what is in test scene 0
-obpose-edit infer FRAMES --checkpoint obpose-contact--moving--64x64 --out a       what is in frames of your own
+obpose-edit infer --data DIR --out a                                              what is in test scene 0
+obpose-edit infer FRAMES --out a                                                  what is in frames of your own
 obpose-edit sample --checkpoint obpose-contact--moving--64x64 --out b             a new scene
 obpose-edit move a --object 2 --by 0.1,0,0 --out c                                add, remove, rotate and swap likewise
 obpose-edit render c --turntable 24 --out turn.gif
@@ -67,8 +67,9 @@ class _Placed:
 class Infer(Frames, _Shown):
     """Infer a scene from a clip of a dataset, or from RGB-D frames of your own."""
 
-    checkpoint: str
-    """Folder of a trained model, or the name of weights that ship with this package."""
+    checkpoint: str | None = None
+    """Folder of a trained model, or the name of weights that ship with this package. Default: those of
+    obpose-contact that were trained on the recipe of the dataset, and on `moving` for frames of your own."""
     data: Path | None = None
     """Folder of a dataset, instead of frames."""
     split: Literal["train", "val", "test"] = "test"

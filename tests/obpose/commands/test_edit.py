@@ -107,6 +107,15 @@ def test_the_contact_model_finds_the_objects_of_frames(frames: list[str], tmp_pa
         assert torch.cdist(means, centers).amin(dim=1).sort().values[:-1].max() < 0.1
 
 
+@pytest.mark.parametrize("own", [False, True])
+def test_the_default_weights_are_those_of_obpose_contact(
+    tiny_dataset: Path, frames: list[str], own: bool, tmp_path: Path
+):
+    flags = [*frames, "--masks", "own"] if own else ["--data", tiny_dataset]
+    assert run("infer", *flags, "--refine", 0, "--out", tmp_path / "own") == EXIT_OK
+    assert load_scene(tmp_path / "own").checkpoint == "obpose-contact--moving--64x64"
+
+
 def test_masks_come_from_weights_of_the_contact_model(tiny_dataset: Path, tmp_path: Path, capsys):
     expected = "expected weights of obpose-contact, contact-masks, supervised or ogc"
     for masks, reason in ((MODEL, expected), ("nope", "--masks nope: no such folder")):
