@@ -21,18 +21,21 @@ def main(source: str, target: str, seconds: str, parent: str) -> None:
     interrupts.end_with(int(parent), lambda: _delete(Path(target).parent))
     # The hard limit is higher, because reaching it would raise another signal.
     resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds) + 5))
-    import coacd
+    try:
+        import coacd
 
-    coacd.set_log_level("error")
-    mesh = read_npz(Path(source), ("vertices", "faces"))
-    parts = coacd.run_coacd(
-        coacd.Mesh(mesh["vertices"], mesh["faces"]), seed=0, decimate=True, max_ch_vertex=MOST_CORNERS, **OPTIONS
-    )
-    corners = [np.asarray(vertices, np.float64) for vertices, _ in parts]
-    np.savez(target, corners=np.concatenate(corners), counts=np.array([len(part) for part in corners]))
-    # The parent may have died since the thread that watches it looked last.
-    if os.getppid() != int(parent):
-        _delete(Path(target).parent)
+        coacd.set_log_level("error")
+        mesh = read_npz(Path(source), ("vertices", "faces"))
+        parts = coacd.run_coacd(
+            coacd.Mesh(mesh["vertices"], mesh["faces"]), seed=0, decimate=True, max_ch_vertex=MOST_CORNERS, **OPTIONS
+        )
+        corners = [np.asarray(vertices, np.float64) for vertices, _ in parts]
+        np.savez(target, corners=np.concatenate(corners), counts=np.array([len(part) for part in corners]))
+    finally:
+        # The parent may have died since the thread that watches it looked last, or while that thread deletes files that
+        # are needed here.
+        if os.getppid() != int(parent):
+            _delete(Path(target).parent)
 
 
 def _delete(folder: Path) -> None:

@@ -64,8 +64,7 @@ def infer(values: Infer) -> None:
     if not 0 <= values.refine <= MOST_REFINEMENTS:
         raise UsageError(f"--refine {values.refine}: expected 0 to {MOST_REFINEMENTS}.")
     _size(values.resolution)
-    recipe = "moving" if values.data is None else SceneDataset(values.data, values.split).recipe
-    origin = load_origin(values.checkpoint or shipped_to_create(recipe))
+    origin = load_origin(values.checkpoint or _default_weights(values))
     if values.data is not None:
         # A clip of a dataset.
         place = (values.data, values.split, values.scene)
@@ -100,6 +99,12 @@ def infer(values: Infer) -> None:
         print("No object was found: there is none, or the weights were trained too little or on other scenes.")
     elif values.refine and not strength(scene.appearance.light):
         print("No light was found by its shadows: the scene is drawn without any.")
+
+
+def _default_weights(values: Infer) -> str:
+    """Name the shipped weights for a dataset, or for frames of the user."""
+    recipe = "moving" if values.data is None else SceneDataset(values.data, values.split).recipe
+    return shipped_to_create(recipe)
 
 
 def sample(values: Sample) -> None:
