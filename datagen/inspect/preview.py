@@ -10,7 +10,13 @@ from PIL import Image, ImageDraw, ImageFont
 
 from datagen.console.text import counted
 from datagen.errors import UsageError
-from datagen.inspect.signal_pictures import colored_coordinates, colored_normals, flow_picture, tracks_picture
+from datagen.inspect.signal_pictures import (
+    colored_coordinates,
+    colored_normals,
+    flow_picture,
+    signal_legend,
+    tracks_picture,
+)
 from datagen.schema import DEPTH_SCALE, FIELDS, SIGNALS, SceneRecord
 from datagen.storage.reader import Dataset, Split
 from datagen.storage.spec import Spec, is_imported, views_of
@@ -248,7 +254,7 @@ def _scene_block(record: SceneRecord, span: tuple[float, float]) -> Rgb:
 def _page(title: str, blocks: list[Rgb], records: dict[str, SceneRecord]) -> Rgb:
     """Arrange blocks of one size below a title and above the legend."""
     picture = _grid(blocks)
-    entries = list(_legend(_depth_span(records), _most_labels(records)))
+    entries = list(_legend(records))
     lines: list[list[Rgb]] = [[]]
     for entry in entries:
         if lines[-1] and sum(other.shape[1] + GAP for other in lines[-1]) + entry.shape[1] > picture.shape[1] - 2 * GAP:
@@ -258,15 +264,20 @@ def _page(title: str, blocks: list[Rgb], records: dict[str, SceneRecord]) -> Rgb
     return np.pad(_stacked(parts), ((GAP, GAP), (GAP, 0), (0, 0)), constant_values=255)
 
 
-def _legend(span: tuple[float, float], labels: int) -> Iterator[Rgb]:
-    """Entries of the legend: depth in metres, and ids."""
+def _legend(records: dict[str, SceneRecord]) -> Iterator[Rgb]:
+    """Entries of the legend: depth in metres, ids, and the colours of signals."""
+    span = _depth_span(records)
     steps = np.linspace(*span, BAR)
     bar = np.repeat(colored_depth(steps[None].astype(int), *span), HEADING, axis=0)
     near, far = (f"{DEPTH_SCALE * end:.2f} m" for end in span)
     yield _beside([_words(f"depth {near}"), bar, _words(far)])
     yield _beside([_swatch((0, 0, 0)), _words("no depth")])
-    for label, color in enumerate(label_colors(labels)[:LABEL_COLORS]):
+    for label, color in enumerate(label_colors(_most_labels(records))[:LABEL_COLORS]):
         yield _beside([_swatch(color), _words(f"id {label}" if label else "background")])
+    # All scenes of a dataset store the same signals.
+    for name, colors, words in signal_legend(next(iter(records.values()))):
+        yield _words(name)
+        yield from (_beside([_swatch(color), _words(word)]) for color, word in zip(colors[0], words, strict=True))
 
 
 def _swatch(color: Sequence[int] | UInt8[np.ndarray, "3"]) -> Rgb:

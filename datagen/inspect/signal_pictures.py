@@ -1,5 +1,7 @@
 """Pictures of optional signals: flow as colours, normals, object coordinates and tracked points."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from jaxtyping import Float, Integer, UInt8
 from PIL import Image, ImageDraw
@@ -13,7 +15,7 @@ Rgb = UInt8[np.ndarray, "height width 3"]
 
 
 def colored_flow(flow: Float[np.ndarray, "height width 2"], most: float) -> Rgb:
-    """Draw flow as colours: the hue is the direction (red right, green down left), white is still, `most` is vivid."""
+    """Draw flow as colours: the hue is the direction (red right, blue down left), white is still, `most` is vivid."""
     motion = flow.astype(np.float64)
     length = np.sqrt(np.sum(motion * motion, axis=-1))
     turn = np.arctan2(motion[..., 1], motion[..., 0]) / (2 * np.pi)
@@ -44,6 +46,21 @@ def colored_normals(normals: Integer[np.ndarray, "height width 3"]) -> Rgb:
 def colored_coordinates(coordinates: Integer[np.ndarray, "height width 3"]) -> Rgb:
     """Draw object coordinates as red, green and blue."""
     return (255.0 / COORDINATE_SCALE * coordinates).astype(np.uint8)
+
+
+def signal_legend(record: SceneRecord) -> Iterator[tuple[str, Rgb, tuple[str, ...]]]:
+    """Explain the colours of each stored signal: its name, a row of colours, and a word for each of them."""
+    if "flow/forward" in record:
+        # The last colour is that of a hidden point that moves right.
+        motion = np.array([[(1, 0), (0, 1), (-1, 0), (0, -1), (0, 0), (1, 0)]], np.float64)
+        dimmed = np.array([1, 1, 1, 1, 1, 2], np.uint8)[None, :, None]
+        words = ("right", "down", "left", "up", "still", "right, hidden")
+        yield "flow:", colored_flow(motion, most=1.0) // dimmed, words
+    if "normals" in record:
+        towards = np.array([[(NORMAL_SCALE, 0, 0), (0, -NORMAL_SCALE, 0), (0, 0, -NORMAL_SCALE)]])
+        yield "normals:", colored_normals(towards), ("right", "up", "to the camera")
+    if "object_coordinates" in record:
+        yield "coordinates:", colored_coordinates(COORDINATE_SCALE * np.eye(3, dtype=int)[None]), ("x", "y", "z")
 
 
 TRACKS_DRAWN, TAIL = 64, 6

@@ -63,7 +63,7 @@ def trained_on(config: Configuration) -> Trained:
             return Trained(model.spacing, (x, y, 0.0))
         case _:
             name = architecture_of(config).name
-            raise UsageError(f"Frames of your own need weights of obpose or contact-masks, not {name}.")
+            raise UsageError(f"Frames of your own need weights of obpose, obpose-contact or contact-masks, not {name}.")
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,7 +58,7 @@ def shipped_to_create(track: str, folder: Path = assets.CHECKPOINTS) -> str:
             if name.startswith(f"{model}--{track}--"):
                 return name
     raise UsageError(
-        f"No weights of obpose for {track} ship with this package; say with --checkpoint which to use. "
+        f"No weights of obpose-contact or obpose for {track} ship with this package; name others with --checkpoint. "
         f"{list_shipped(folder)}"
     )
 

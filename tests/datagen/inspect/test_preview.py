@@ -71,6 +71,9 @@ def test_signals_are_shown_below_the_images(tmp_path: Path):
         assert contains(picture, signal_pictures.tracks_picture(record, frame, 0))
         for direction in ("forward", "backward"):
             assert contains(picture, signal_pictures.flow_picture(record, direction, frame, 0))
+    # The legend has a colour for flow to the right, shown and hidden, normals that point up, and coordinate z.
+    for color in [(255, 0, 0), (127, 0, 0), (127, 255, 127), (0, 0, 255)]:
+        assert contains(picture, np.broadcast_to(np.array(color, np.uint8), (18, 18, 3)))
 
 
 def test_colours_of_signals_tell_directions():
