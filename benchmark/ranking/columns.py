@@ -329,11 +329,5 @@ def paper_of_track(track: str) -> dict[str, dict[str, str]]:
     return {model: line for (name, model), line in paper_scores().items() if name == track}
 
 
-def paper_cell(track: str, model: str) -> str:
-    """Scores that the paper prints for a model, separated by spaces; empty if it has none."""
-    line = paper_scores().get((track, model), {})
-    return " ".join(cell for name, cell in line.items() if name in ALL_METRICS)
-
-
 def _listed(names: Iterable[str]) -> str:
     return ", ".join(sorted(names))

@@ -20,7 +20,6 @@ from benchmark.csv_files import Cell, Line, to_csv
 from benchmark.metrics import mean_where_defined
 from benchmark.ranking import text
 from benchmark.ranking.columns import (
-    HEADINGS,
     MAIN_SCORES,
     MODEL,
     POSE_SCORES,
@@ -34,7 +33,6 @@ from benchmark.ranking.columns import (
     best_scores,
     blocks,
     group_letters,
-    paper_cell,
     paper_of_track,
     scenes_title,
     table_notes,
@@ -183,6 +181,7 @@ class _Cell:
     letters: str = ""
     """Group letters, printed as a superscript."""
     bold: bool = False
+    from_paper: bool = False
 
 
 @dataclass(frozen=True)
@@ -198,20 +197,17 @@ class _Table:
 
 def _tables(group: Sequence[ModelResult]) -> Iterator[_Table]:
     """Yield the table of scores, and the table of poses if a model gives poses."""
-    paper = paper_of_track(group[0].place[0])
     views = [VIEWS] if any(result.views for result in group) else []
-    columns = [MODEL, *views, RANK, SEEDS, *MAIN_SCORES, *([_paper_column(paper)] if paper else [])]
+    columns = [MODEL, *views, RANK, SEEDS, *MAIN_SCORES]
     best = best_scores(group)
     shown = [
         (block.title, [[_cell(row, column, best) for column in columns] for row in block.rows])
         for block in blocks(group)
     ]
-    # Models of the paper that were not run have no scores of ours.
-    missing = [model for model in paper if model not in {result.row.key.model for result in group}]
-    empty = [_Cell("")] * (len(columns) - 2)
-    if missing:
-        rows = [[_Cell(model), *empty, _Cell(paper_cell(group[0].place[0], model))] for model in missing]
-        shown.append(("In the paper, not run here", rows))
+    if paper := list(paper_of_track(group[0].place[0]).values()):
+        names = [column.name if column is not MODEL else "paper_model" for column in columns]
+        rows = [[_Cell(line.get(name, ""), from_paper=True) for name in names] for line in paper]
+        shown.append((f"In the paper, on {paper[0]['paper_track']}: other data, not comparable", rows))
     yield _Table(f"Segmentation of {_title(group)}.", columns, shown)
     if rows := with_poses(group):
         pose_columns = [MODEL, SEEDS, *POSE_SCORES]
@@ -221,15 +217,6 @@ def _tables(group: Sequence[ModelResult]) -> Iterator[_Table]:
 
 def _title(group: Sequence[ModelResult]) -> str:
     return f"{track_title(group)} ({scenes_title(group)})"
-
-
-def _paper_column(paper: Mapping[str, Mapping[str, str]]) -> Column:
-    """Column of the figures that the paper prints; its notes say that they are not comparable."""
-    line = next(iter(paper.values()))
-    names = " ".join(HEADINGS[name] for name in line if name in HEADINGS)
-    heading = f"{names} of {line['paper_track']} in the paper (other data: not comparable)"
-    cell = lambda row: "" if row.without_failed else paper_cell(row.result.place[0], row.result.place[2])  # noqa: E731
-    return Column("paper", heading, cell)
 
 
 def _cell(row: Row, column: Column | Score, best: Mapping[str, float]) -> _Cell:
@@ -246,14 +233,14 @@ def _markdown_table(table: _Table) -> str:
     aligned = ["---" if column in (MODEL, VIEWS) else "---:" for column in table.columns]
     lines = [[text.markdown(column.heading) for column in table.columns], aligned]
     for title, rows in table.blocks:
-        lines += [[f"**{title}**", *[""] * (len(table.columns) - 1)]] if title else []
+        lines += [[f"**{text.markdown(title)}**", *[""] * (len(table.columns) - 1)]] if title else []
         lines += [[_markdown_cell(*pair) for pair in zip(row, table.columns, strict=True)] for row in rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def _markdown_cell(cell: _Cell, column: Column | Score) -> str:
     content = text.markdown(cell.text)
-    if column.name == "paper" and content:
+    if cell.from_paper and content:
         return f"*{content}*"
     content = f"**{content}**" if cell.bold else content
     return f"{content} <sup>{cell.letters}</sup>" if cell.letters else content
@@ -284,19 +271,17 @@ def _latex_table(table: _Table) -> str:
 
 def _latex_heading(column: Column | Score) -> str:
     heading = text.latex(column.heading)
-    if column.name == "paper":
-        return rf"\textcolor{{gray}}{{{heading}}}"
     return rf"{heading}$\uparrow$" if column in MAIN_SCORES else heading
 
 
 def _latex_cell(cell: _Cell, column: Column | Score) -> str:
+    if cell.from_paper and cell.text:
+        return rf"\textcolor{{gray}}{{{text.latex(cell.text)}}}"
     if isinstance(column, Score) and cell.text not in ("", "–"):
         number = cell.text.replace("±", r"\pm")
         number = rf"\mathbf{{{number}}}" if cell.bold else number
         return f"${number}^{{{cell.letters}}}$" if cell.letters else f"${number}$"
     content = text.latex(cell.text)
-    if column.name == "paper" and content:
-        return rf"\textcolor{{gray}}{{{content}}}"
     return rf"\textsc{{{content}}}" if column is MODEL else content
 
 
