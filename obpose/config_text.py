@@ -70,8 +70,9 @@ def parse_changes(texts: Iterable[str], kind: type = Config) -> dict[str, Any]:
         if name not in kinds:
             near = difflib.get_close_matches(name, kinds, n=1, cutoff=0.5)
             hint = f"did you mean {near[0]!r}? They" if near else "they"
-            place = kind.__module__.replace(".", "/") + ".py"
-            raise UsageError(f"--set {text}: unknown value {name!r}; {hint} are listed in {place}.")
+            modules = dict.fromkeys(base.__module__ for base in kind.__mro__ if dataclasses.is_dataclass(base))
+            places = " and ".join(module.replace(".", "/") + ".py" for module in modules)
+            raise UsageError(f"--set {text}: unknown value {name!r}; {hint} are listed in {places}.")
         changes[name] = _conform(_read(value, kinds[name]), kinds[name], f"--set {name}")
     return changes
 

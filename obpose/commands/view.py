@@ -84,7 +84,7 @@ def check(values: Arguments, *, has_viser: bool = importlib.util.find_spec("vise
         UsageError: viser is missing, a number is out of range, or the address cannot be used.
     """
     if not has_viser:
-        raise UsageError("The viewer needs viser and websockets; install them with: pip install viser websockets")
+        raise UsageError("The viewer needs viser and websockets; install them with: pip install 'obpose[view]'")
     if values.scene < 0:
         raise UsageError(f"--scene {values.scene}: expected 0 or more.")
     if not 0 < values.port < 65536:

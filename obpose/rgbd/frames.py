@@ -63,7 +63,10 @@ def trained_on(config: Configuration) -> Trained:
             return Trained(model.spacing, (x, y, 0.0))
         case _:
             name = architecture_of(config).name
-            raise UsageError(f"Frames of your own need weights of obpose, obpose-contact or contact-masks, not {name}.")
+            raise UsageError(
+                f"Weights of {name} cannot segment your own frames; expected those of another system, such as "
+                "contact-masks."
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import pytest
 
 from obpose.config import Config, override
 from obpose.config_text import differences, from_plain, parse_changes, to_plain
-from obpose.contact.config import ContactConfig
+from obpose.contact.config import ContactConfig, ContactObPoseConfig
 from obpose.errors import UsageError
 from obpose.variants import make_config
 
@@ -101,6 +101,11 @@ def test_changes_are_read_as_what_the_value_is(text: str, change: dict[str, Any]
 
 def test_the_last_of_two_changes_counts():
     assert parse_changes(["train.batch=4", "train.batch=5"]) == {"train.batch": 5}
+
+
+def test_unknown_values_name_all_files_that_list_values():
+    with pytest.raises(UsageError, match=r"listed in obpose/contact/config\.py and obpose/config\.py\."):
+        parse_changes(["nonsense=1"], ContactObPoseConfig)
 
 
 @pytest.mark.parametrize(

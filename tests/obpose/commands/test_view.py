@@ -74,5 +74,5 @@ def test_a_used_port_is_reported(tmp_path: Path, capsys):
 
 
 def test_without_viser_it_says_how_to_install_it(tmp_path: Path):
-    with pytest.raises(UsageError, match="pip install viser"):
+    with pytest.raises(UsageError, match=r"pip install 'obpose\[view\]'"):
         check(Arguments(tmp_path), has_viser=False)
