@@ -1,8 +1,8 @@
-"""Train ObPose for a minute and segment a test clip with it.
+"""Train obpose-contact, the default of obpose-train, for a minute and segment a test clip with it.
 
 python examples/2_train_and_segment.py DATASET RUN [--minutes 1]
 
-DATASET is a folder that example 1 or obpose-datagen made. A minute on few clips is only enough to see that it runs.
+DATASET is a folder that example 1 or obpose-datagen made. A minute on few clips only shows that it runs.
 """
 
 import subprocess

@@ -47,8 +47,8 @@ class Train:
     profile: str = "cpu"
     """Size of the model and of the track's images: cpu, gpu or paper."""
     minutes: float | None = None
-    """Budget in minutes of CPU time (wall time on a GPU), by default the profile's. Validating, drawing and saving do
-    not count."""
+    """Budget in minutes of CPU time (wall time on a GPU), by default that of the system: 24 for obpose-contact.
+    Validating, drawing and saving do not count."""
     steps: int | None = None
     """Budget in steps, instead of minutes."""
     seed: int = 0
