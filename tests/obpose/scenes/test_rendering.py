@@ -117,13 +117,16 @@ def test_outlines_are_pixels_beside_another_component():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("refinements", [0, 60])
-def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path, refinements: int):
+@pytest.mark.parametrize(
+    ("weights", "refinements"),
+    [("obpose--moving--64x64", 0), ("obpose-contact--moving--64x64", 0), ("obpose-contact--moving--64x64", 60)],
+)
+def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path, weights: str, refinements: int):
     """More than the goal of 40 dB, which colours of the surface instead of from behind it meet too, just.
 
     The time that leaving things out saves is measured in tests/perf.
     """
-    origin = load_origin("obpose--moving--64x64")
+    origin = load_origin(weights)
     scene = infer_scene(origin, read_clip(tiny_dataset, "test", 0), refinements=refinements)
     scene = scene.with_appearance(light=no_light(), texture=no_texture())
     camera, renderer = scene.cameras[0].resized(24, 24), Renderer(origin.model)
