@@ -28,5 +28,5 @@ def test_the_contact_model_has_no_bounds():
 
 
 def test_weights_of_other_systems_are_refused():
-    with pytest.raises(UsageError, match="contact-masks, not obsurf"):
+    with pytest.raises(UsageError, match="Weights of obsurf cannot segment your own frames"):
         trained_on(find_system("obsurf").config())
