@@ -53,12 +53,12 @@ def signal_legend(record: SceneRecord) -> Iterator[tuple[str, Rgb, tuple[str, ..
     if "flow/forward" in record:
         # The last colour is that of a hidden point that moves right.
         motion = np.array([[(1, 0), (0, 1), (-1, 0), (0, -1), (0, 0), (1, 0)]], np.float64)
-        dimmed = np.array([1, 1, 1, 1, 1, 2], np.uint8)[None, :, None]
+        divisor = np.array([1, 1, 1, 1, 1, 2], np.uint8)[None, :, None]
         words = ("right", "down", "left", "up", "still", "right, hidden")
-        yield "flow:", colored_flow(motion, most=1.0) // dimmed, words
+        yield "flow:", colored_flow(motion, most=1.0) // divisor, words
     if "normals" in record:
-        towards = np.array([[(NORMAL_SCALE, 0, 0), (0, -NORMAL_SCALE, 0), (0, 0, -NORMAL_SCALE)]])
-        yield "normals:", colored_normals(towards), ("right", "up", "to the camera")
+        directions = np.array([[(NORMAL_SCALE, 0, 0), (0, -NORMAL_SCALE, 0), (0, 0, -NORMAL_SCALE)]])
+        yield "normals:", colored_normals(directions), ("right", "up", "to the camera")
     if "object_coordinates" in record:
         yield "coordinates:", colored_coordinates(COORDINATE_SCALE * np.eye(3, dtype=int)[None]), ("x", "y", "z")
 
