@@ -1,6 +1,7 @@
 """Interface between models and `obpose.training.loop`, which trains all architectures."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import ClassVar, Protocol, runtime_checkable
 
 import torch
@@ -35,6 +36,26 @@ class Trainable(nn.Module, ABC):
     def training_source(self, source: ClipSource) -> ClipSource:
         """Give the source of the clips of training steps, from that of the dataset's clips."""
         return source
+
+    def next_source(self, source: ClipSource, fraction: float) -> ClipSource:
+        """Give the source of the steps from here on: `source` itself, unless training goes on with other data.
+
+        Args:
+            source: Source of the steps so far, by `training_source` or this method.
+            fraction: Share of the budget that is used, 0 to 1.
+        """
+        return source
+
+    def training_state(self) -> dict[str, Tensor]:
+        """Give what only training needs, for checkpoints: tensors by name, besides weights and optimiser."""
+        return {}
+
+    def restore_training_state(self, state: Mapping[str, Tensor]) -> None:
+        """Restore what `training_state` gave, before `training_source` is called.
+
+        Raises:
+            UsageError: it does not fit the model.
+        """
 
     def parameter_groups(self) -> list[tuple[list[nn.Parameter], float]]:
         """All parameters in their order, in groups, each with a factor of the learning rate."""

@@ -7,14 +7,17 @@ A network gives every pixel of an image a foreground logit, an embedding, and af
 (`obpose.contact.clip`).
 """
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from einops import rearrange
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from datagen.storage.safe_io import brief_reason
 from obpose.contact.clip import Image as ClipImage
 from obpose.contact.clip import label_map, segment_clip
 from obpose.contact.components import OFFSETS, image_components
@@ -23,9 +26,11 @@ from obpose.contact.grouping import foreground_pairs
 from obpose.contact.images import CHANNELS, Images, augmented, cropped, images_of
 from obpose.contact.losses import affinity_loss, embedding_loss, foreground_loss
 from obpose.contact.network import UNet
-from obpose.contact.pasting import PastedClips
+from obpose.contact.pasting import ClipsWithPasted, PastedClips, PseudoScene, least_pixels
+from obpose.contact.self_training import CERTAINTY, START, divided
 from obpose.data.clean_depth import clean_depth, depth_noise
-from obpose.data.clips import ClipSource
+from obpose.data.clips import ClipSource, observation_of
+from obpose.errors import UsageError
 from obpose.geometry import unproject
 from obpose.model.attention.given import Labels
 from obpose.trainable import Trainable
@@ -63,6 +68,7 @@ class ContactModel(Trainable):
         self.config = config
         self.network = UNet(CHANNELS, self.channels)
         self.register_buffer("center", torch.tensor(config.model.workspace_center), persistent=False)
+        self._teacher: Teacher | None = None
 
     @property
     def channels(self) -> int:
@@ -77,15 +83,53 @@ class ContactModel(Trainable):
         """Images that are pasted from the clips of a source."""
         model = self.config.model
         settings = {"table": model.table, "floor": model.floor, "gap": model.gap, "clean": model.clean_depth}
-        return PastedClips(source, **settings, seed=self.config.train.seed)
+        clips = PastedClips(source, **settings, seed=self.config.train.seed)
+        return clips.divided_by(self._teacher) if self._teacher else clips
+
+    def next_source(self, source: ClipSource, fraction: float) -> ClipSource:
+        """Divide the pseudo-objects once a share of the budget is used (`obpose.contact.self_training`)."""
+        if fraction < START or not isinstance(source, PastedClips | ClipsWithPasted) or source.divided:
+            return source
+        self._teacher = self._teacher or Teacher(self._copy())
+        return source.divided_by(self._teacher)
+
+    def training_state(self) -> dict[str, Tensor]:
+        """Give the weights of the model that divides the pseudo-objects, if there is one yet."""
+        return self._teacher.model.state_dict() if self._teacher else {}
+
+    def restore_training_state(self, state: Mapping[str, Tensor]) -> None:
+        """Restore what `training_state` gave.
+
+        Raises:
+            UsageError: it does not fit the model.
+        """
+        if not state:
+            return
+        model = self._copy()
+        try:
+            model.load_state_dict(state)
+        except RuntimeError as error:
+            raise UsageError(
+                f"The checkpoint's teacher does not fit the model of this version: {brief_reason(error)}. Begin anew "
+                "in another folder with --out."
+            ) from None
+        self._teacher = Teacher(model)
+
+    def _copy(self) -> "ContactModel":
+        """A copy on the CPU, in evaluation mode."""
+        with torch.random.fork_rng(devices=[]):
+            copy = ContactModel(self.config)
+        copy.load_state_dict(self.state_dict())
+        return copy.eval()
 
     def images(self, observation: Observation) -> Images:
-        """Clean the depth of an observation if so set, and arrange its images. Pasted images are clean already."""
-        cleaned = observation if isinstance(observation, PastedObservation) else self._cleaned(observation)
-        return images_of(cleaned, center=self.center, table=self.config.model.table)
+        """Clean the depth of an observation if so set, and arrange its images."""
+        return images_of(self._cleaned(observation), center=self.center, table=self.config.model.table)
 
     def _cleaned(self, observation: Observation) -> Observation:
-        return clean_depth(observation) if self.config.model.clean_depth else observation
+        # Pasted images are clean already.
+        clean = self.config.model.clean_depth and not isinstance(observation, PastedObservation)
+        return clean_depth(observation) if clean else observation
 
     def outputs(self, images: Images) -> Outputs:
         """Run the network."""
@@ -169,3 +213,16 @@ class ContactModel(Trainable):
         if (gap := self.config.model.division_gap) is None:
             return [None] * len(masks)
         return [image_components(*each, gap=gap, least=1) for each in zip(points, masks, strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class Teacher:
+    """Model of the middle of a training, which divides pseudo-objects."""
+
+    model: ContactModel
+
+    def __call__(self, scene: PseudoScene) -> UInt8[np.ndarray, "height width"]:
+        """Divide the pseudo-objects of a scene that the model divides with certainty."""
+        image = self.model.clip_images(observation_of([scene.window()], PastedObservation))[0]
+        found = label_map(image.mask, image.groups(self.model.config.model.bias + CERTAINTY))
+        return divided(scene.labels, found, least=least_pixels(scene.labels.size))

@@ -4,7 +4,8 @@ The connected components of a clip's clearest frame serve as pseudo-objects. Som
 to a component of another clip. Which pixel belongs to which is then known, although the pixels touch.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,6 +72,18 @@ class PseudoScene:
         """Memory of the images."""
         return self.rgb.nbytes + self.depth.nbytes + self.labels.nbytes
 
+    def window(self) -> dict[str, Tensor]:
+        """Give the fields of `obpose.types.PastedObservation` without the batch axis: one frame and view."""
+        arrays = {
+            "rgb": self.rgb[None, None],
+            "depth": self.depth[None, None],
+            "valid": self.depth[None, None] > 0,
+            "k": self.k[None],
+            "world_from_camera": self.world_from_camera[None],
+            "pseudo_labels": self.labels[None, None].astype(np.int64),
+        }
+        return {name: torch.from_numpy(array) for name, array in arrays.items()}
+
     def points(self, mask: Bool[np.ndarray, "height width"]) -> Float[np.ndarray, "pixel 3"]:
         """Surface points of the pixels of a mask, world frame, metres."""
         return geometry.unproject(self.depth, self.k, self.world_from_camera)[mask]
@@ -80,6 +93,10 @@ class PseudoScene:
         x, y = (columns + 0.5 - self.k[0, 2]) / self.k[0, 0], (rows + 0.5 - self.k[1, 2]) / self.k[1, 1]
         right, down, forward = self.world_from_camera[2, :3]
         return right * x + down * y + forward
+
+
+Divide = Callable[[PseudoScene], UInt8[np.ndarray, "height width"]]
+"""Function that gives the pseudo-objects of a scene anew: from 1, and 0 elsewhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +149,8 @@ class PastedClips:
         self._source, self._seed, self._kept_bytes = source, seed, kept_bytes
         self._settings = {"table": table, "floor": floor, "gap": gap, "clean": clean}
         self._scenes: dict[int, PseudoScene] = {}
+        self._divide: Divide | None = None
+        self._labels: dict[int, UInt8[np.ndarray, "height width"]] = {}
         if not any(self._scene(index).count for index in range(min(CHECKED, len(source)))):
             raise UsageError(
                 f"The first clips show nothing more than {floor * 1000:g} mm above z = {table:g} m; expected "
@@ -158,32 +177,60 @@ class PastedClips:
             cutout = cut_out(other, rng) if other.count else None
             if cutout is not None and scene.count < MOST_OBJECTS:
                 scene = paste(scene, cutout, rng)
-        arrays = {
-            "rgb": scene.rgb[None, None],
-            "depth": scene.depth[None, None],
-            "valid": scene.depth[None, None] > 0,
-            "k": scene.k[None],
-            "world_from_camera": scene.world_from_camera[None],
-            "pseudo_labels": scene.labels[None, None].astype(np.int64),
-        }
-        return {name: torch.from_numpy(array) for name, array in arrays.items()}
+        return scene.window()
+
+    @property
+    def divided(self) -> bool:
+        """Whether this comes from `divided_by`."""
+        return self._divide is not None
+
+    def divided_by(self, divide: Divide) -> "PastedClips":
+        """Give the same clips, with pseudo-objects that a function divides when they are first used."""
+        other = copy(self)
+        other._divide, other._labels = divide, {}
+        return other
 
     def _scene(self, index: int) -> PseudoScene:
-        """Image of a clip that shows the most pseudo-objects."""
+        """Image of a clip that shows the most pseudo-objects, which are divided."""
+        scene = self._components(index)
+        if index not in self._labels:
+            self._labels[index] = self._divided_labels(scene)
+        return replace(scene, labels=self._labels[index])
+
+    def _components(self, index: int) -> PseudoScene:
+        """Image of a clip that shows the most connected components."""
         if index not in self._scenes:
             window = self._source.window(index, 0, self._source.frames_of_clip)
             scene = max(pseudo_scenes(window, **self._settings), key=lambda scene: scene.count)
             while self._scenes and (len(self._scenes) + 1) * scene.bytes > self._kept_bytes:
-                self._scenes.pop(next(iter(self._scenes)))
+                oldest = next(iter(self._scenes))
+                del self._scenes[oldest]
+                self._labels.pop(oldest, None)
             self._scenes[index] = scene
         return self._scenes[index]
+
+    def _divided_labels(self, scene: PseudoScene) -> UInt8[np.ndarray, "height width"]:
+        return self._divide(scene) if self._divide and scene.count else scene.labels
 
     def pseudo_labels(self, window: Mapping[str, Tensor]) -> UInt8[np.ndarray, "frame view height width"]:
         """Pseudo-objects of a window of a clip, followed from the frame that shows the most; 0 elsewhere."""
         scenes = list(pseudo_scenes(window, **self._settings))
         views = len(window["k"])
-        labels = np.stack([_followed(scenes[view::views], self._settings["gap"]) for view in range(views)], axis=1)
+        labels = np.stack([self._followed(scenes[view::views]) for view in range(views)], axis=1)
         return np.where(window["valid"].numpy(), labels, 0).astype(np.uint8)
+
+    def _followed(self, scenes: Sequence[PseudoScene]) -> UInt8[np.ndarray, "frame height width"]:
+        """Pseudo-objects of the images of one view, with one label each over time."""
+        masks = [scene.labels > 0 for scene in scenes]
+        clouds = [
+            Cloud(scene.points(mask), COLOUR_SCALE * scene.rgb[mask]) for scene, mask in zip(scenes, masks, strict=True)
+        ]
+        key = int(np.argmax([scene.count for scene in scenes]))
+        begin = self._divided_labels(scenes[key])[masks[key]].astype(np.int64) - 1
+        labels = np.zeros((len(scenes), *masks[0].shape), np.uint8)
+        for frame, found in enumerate(track(clouds, key, begin, self._settings["gap"])):
+            labels[frame][masks[frame]] = np.minimum(found + 1, 255)
+        return labels
 
 
 class ClipsWithPasted:
@@ -202,6 +249,17 @@ class ClipsWithPasted:
     def frames_of_clip(self) -> int:
         """Frames of every clip."""
         return self._source.frames_of_clip
+
+    @property
+    def divided(self) -> bool:
+        """Whether this comes from `divided_by`."""
+        return self._pasted.divided
+
+    def divided_by(self, divide: Divide) -> "ClipsWithPasted":
+        """Give the same clips, with pseudo-objects that a function divides when they are first used."""
+        other = copy(self)
+        other._pasted = self._pasted.divided_by(divide)
+        return other
 
     def __len__(self) -> int:
         return len(self._source)
@@ -225,20 +283,6 @@ class ClipsWithPasted:
         }
 
 
-def _followed(scenes: Sequence[PseudoScene], gap: float) -> UInt8[np.ndarray, "frame height width"]:
-    """Pseudo-objects of the images of one view, with one label each over time."""
-    masks = [scene.labels > 0 for scene in scenes]
-    clouds = [
-        Cloud(scene.points(mask), COLOUR_SCALE * scene.rgb[mask]) for scene, mask in zip(scenes, masks, strict=True)
-    ]
-    key = int(np.argmax([scene.count for scene in scenes]))
-    labels = np.zeros((len(scenes), *masks[0].shape), np.uint8)
-    found = track(clouds, key, scenes[key].labels[masks[key]].astype(np.int64) - 1, gap)
-    for frame, mask in enumerate(masks):
-        labels[frame][mask] = np.minimum(found[frame] + 1, 255)
-    return labels
-
-
 def pseudo_scenes(
     window: Mapping[str, Tensor], *, table: float, floor: float, gap: float, clean: bool
 ) -> Iterator[PseudoScene]:
@@ -251,7 +295,7 @@ def pseudo_scenes(
     points = unproject(whole)[0].numpy()
     rgb, depth, valid = (getattr(whole, name)[0].numpy() for name in ("rgb", "depth", "valid"))
     kept = valid if clean else observed.valid[0].numpy()
-    least = max(LEAST_PIXELS, round(LEAST_PIXELS * depth[0, 0].size / 64**2))
+    least = least_pixels(depth[0, 0].size)
     for frame, view in np.ndindex(*depth.shape[:2]):
         standing = valid[frame, view] & (points[frame, view, ..., 2] > table + floor)
         labels = image_components(points[frame, view], standing, gap=gap, least=least)
@@ -262,6 +306,11 @@ def pseudo_scenes(
             k=whole.k[0, view].numpy(),
             world_from_camera=whole.world_from_camera[0, view].numpy(),
         )
+
+
+def least_pixels(size: int) -> int:
+    """Number of pixels from which a component of an image of `size` pixels is a pseudo-object."""
+    return max(LEAST_PIXELS, round(LEAST_PIXELS * size / 64**2))
 
 
 def cut_out(scene: PseudoScene, rng: np.random.Generator) -> Cutout | None:

@@ -5,6 +5,7 @@ minimum-volume pose, NeRF). Both are trained in the same steps, without labels: 
 rest on clips in which connected components, followed over time, serve as objects.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -58,6 +59,22 @@ class ContactObPose(ObPose):
         """Add pseudo-objects and pasted images to clips; labels of the source are not read."""
         scale = self.contact.config.model.image_scale
         return ClipsWithPasted(source, self.contact.pasted_clips(source), seed=self.config.train.seed, scale=scale)
+
+    def next_source(self, source: ClipSource, fraction: float) -> ClipSource:
+        """Divide the pseudo-objects once a share of the budget is used."""
+        return self.contact.next_source(source, fraction)
+
+    def training_state(self) -> dict[str, Tensor]:
+        """Give the state of the contact model."""
+        return self.contact.training_state()
+
+    def restore_training_state(self, state: Mapping[str, Tensor]) -> None:
+        """Restore what `training_state` gave.
+
+        Raises:
+            UsageError: it does not fit the model.
+        """
+        self.contact.restore_training_state(state)
 
     def parameter_groups(self) -> list[tuple[list[nn.Parameter], float]]:
         """Parameters of ObPose, then of the contact model, which learns faster."""

@@ -6,7 +6,7 @@ everything needed to resume training, weights included. It is a single file, so 
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,8 @@ class TrainingState:
     optimizer: State
     """Optimiser state by key `parameter.value`."""
     info: Info
+    extra: State = field(default_factory=dict)
+    """What else the model needs in training (`Trainable.training_state`)."""
 
 
 def save_model(folder: Path, weights: State, config: Configuration, info: Info) -> None:
@@ -131,9 +133,9 @@ def _check_fit(found: Forms, expected: Forms, place: str) -> Forms:
 
 def save_training(folder: Path, state: TrainingState) -> None:
     """Write the state of a training for `load_training`."""
-    weights = {f"model.{name}": tensor for name, tensor in state.weights.items()}
-    optimizer = {f"optimizer.{name}": tensor for name, tensor in state.optimizer.items()}
-    _write_tensors(folder / TRAINING, weights | optimizer, state.info)
+    parts = {"model": state.weights, "optimizer": state.optimizer, "extra": state.extra}
+    tensors = {f"{part}.{name}": tensor for part, values in parts.items() for name, tensor in values.items()}
+    _write_tensors(folder / TRAINING, tensors, state.info)
 
 
 def load_training(folder: Path, config: Configuration) -> TrainingState | None:
@@ -152,13 +154,13 @@ def load_training(folder: Path, config: Configuration) -> TrainingState | None:
             "Give another --out, or the same values."
         )
     tensors, info = _read_tensors(folder / TRAINING)
-    parts: dict[str, State] = {"model": {}, "optimizer": {}}
+    parts: dict[str, State] = {"model": {}, "optimizer": {}, "extra": {}}
     for name, tensor in tensors.items():
         part, _, rest = name.partition(".")
         if part not in parts:
             raise CorruptFile(f"{folder / TRAINING} is no training, it holds {name!r}; {_MEND[TRAINING]}")
         parts[part][rest] = tensor
-    return TrainingState(parts["model"], parts["optimizer"], info)
+    return TrainingState(parts["model"], parts["optimizer"], info, parts["extra"])
 
 
 def _stored_config(folder: Path) -> Configuration:

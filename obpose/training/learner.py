@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from obpose.data.clips import separate_views
 from obpose.errors import UsageError
-from obpose.storage.checkpoint import Build, TrainingState, put_weights
+from obpose.storage.checkpoint import Build, Info, TrainingState, put_weights
 from obpose.storage.optimizer_state import optimizer_state, put_optimizer_state
 from obpose.storage.tensors import State
 from obpose.trainable import Configuration, Trainable
@@ -72,13 +72,18 @@ class Learner:
         """Give the optimiser state by key `parameter.value`, without parameters that had no gradient yet."""
         return optimizer_state(self.model, self._optimizer)
 
+    def state(self, info: Info) -> TrainingState:
+        """Give the state of the training, for a checkpoint."""
+        return TrainingState(self.weights(), self.optimizer_state(), info, self.model.training_state())
+
     def restore(self, state: TrainingState) -> None:
-        """Restore weights and optimiser from a checkpoint.
+        """Restore the state of a training from a checkpoint.
 
         Raises:
-            UsageError: weights or optimiser state do not fit the model.
+            UsageError: it does not fit the model.
         """
         put_weights(self.model, state.weights, "the checkpoint")
+        self.model.restore_training_state(state.extra)
         try:
             put_optimizer_state(self.model, self._optimizer, state.optimizer)
         except ValueError as error:

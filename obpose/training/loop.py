@@ -180,8 +180,12 @@ class _Run:
         budget, watch = Budget.of(settings), Stopwatch(self.fabric.device, progress.seconds)
         fraction = budget.fraction(progress.step, progress.seconds)
         self._save()
-        feed = self._feed() if fraction < 1 else iter(())
+        feed = self._feed(self.source) if fraction < 1 else iter(())
         while fraction < 1:
+            if (source := self.learner.model.next_source(self.source, fraction)) is not self.source:
+                self.source, feed = source, self._feed(source)
+                if self.val_clips is not None:
+                    self.val_clips = self.learner.model.next_source(self.val_clips, fraction)
             # One step; its time counts towards the budget.
             rate = learning_rate(settings, fraction)
             with watch.running():
@@ -204,12 +208,12 @@ class _Run:
                 self._save()
         self._save()
 
-    def _feed(self) -> Any:
+    def _feed(self, source: ClipSource) -> Any:
         settings, fabric = self.config.train, self.fabric
-        frames = min(settings.frames, self.source.frames_of_clip)
+        frames = min(settings.frames, source.frames_of_clip)
         sampling = Sampling(
-            clips=len(self.source),
-            frames_of_clip=self.source.frames_of_clip,
+            clips=len(source),
+            frames_of_clip=source.frames_of_clip,
             frames=frames,
             batch=settings.batch * (settings.frames // frames) * fabric.world_size,
             seed=settings.seed,
@@ -217,7 +221,7 @@ class _Run:
         share = Share(fabric.global_rank, fabric.world_size)
         readers = readers_for(fabric.device)
         return batches(
-            self.source,
+            source,
             sampling,
             share,
             first_step=self.progress.step,

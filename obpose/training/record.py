@@ -13,7 +13,7 @@ from typing import Any
 
 from obpose.data.clips import ClipSource, observation_of
 from obpose.pictures import write_picture
-from obpose.storage.checkpoint import STEPS, VALIDATIONS, TrainingState, save_model, save_training
+from obpose.storage.checkpoint import STEPS, VALIDATIONS, save_model, save_training
 from obpose.trainable import Configuration, Trainable
 from obpose.training.learner import Learner, StepResult
 from obpose.training.logs import CsvLog, TensorBoardLog
@@ -64,9 +64,9 @@ class Record:
 
     def save(self, learner: Learner, info: dict[str, Any]) -> None:
         """Write a checkpoint."""
-        weights = learner.weights()
-        save_training(self._folder, TrainingState(weights, learner.optimizer_state(), info))
-        save_model(self._folder, weights, self._config, info)
+        state = learner.state(info)
+        save_training(self._folder, state)
+        save_model(self._folder, state.weights, self._config, info)
         self._saved = time.monotonic()
 
     def save_is_due(self) -> bool:

@@ -1,0 +1,153 @@
+import signal
+from collections.abc import Callable
+from copy import deepcopy
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from obpose.baselines.supervised import Supervised
+from obpose.config import override
+from obpose.contact.config import ContactConfig, SupervisedConfig
+from obpose.contact.model import ContactModel
+from obpose.contact.pasting import ClipsWithPasted, PastedClips, PseudoScene
+from obpose.contact.self_training import START, divided
+from obpose.data.clips import ArrayClips
+from obpose.errors import Interrupted, UsageError
+from obpose.training.loop import Status, train
+from tests.worlds.sphere_clips import balls
+
+PLACES = np.array([[[-0.1, 0.05, 0.045], [0.08, -0.1, 0.045]]])
+SETTINGS = {"table": 0.0, "floor": 0.0015, "gap": 0.06, "clean": False, "seed": 0}
+STEPS, BIAS = 6, -20.0
+
+
+@pytest.fixture(scope="module")
+def clips() -> ArrayClips:
+    return ArrayClips([balls(PLACES)[0], balls(PLACES * [1, -1, 1])[0]])
+
+
+class Halves:
+    """Divides every object into its upper and its lower half."""
+
+    def __init__(self):
+        self.asked = 0
+
+    def __call__(self, scene: PseudoScene) -> np.ndarray:
+        self.asked += 1
+        rows = np.indices(scene.labels.shape)[0]
+        middle = [rows[scene.labels == name].mean() for name in range(1, scene.count + 1)]
+        lower = rows > np.array([0, *middle])[scene.labels]
+        return np.where(scene.labels > 0, 2 * scene.labels - 1 + lower, 0).astype(np.uint8)
+
+
+def labels(*rows: str) -> np.ndarray:
+    return np.array([[int(each) for each in row] for row in rows])
+
+
+def test_objects_are_divided_where_the_other_labelling_divides_them():
+    mine = labels("1110", "1110", "0222", "0222").astype(np.uint8)
+    other = labels("7750", "7750", "0550", "0555")
+    found = divided(mine, other, least=2)
+    assert found.dtype == np.uint8
+    np.testing.assert_array_equal(found, labels("2210", "2210", "0333", "0333"))
+
+
+def test_small_pieces_and_background_join_the_nearest_larger_piece():
+    mine = labels("111111111").astype(np.uint8)
+    np.testing.assert_array_equal(divided(mine, labels("222030444"), least=3), labels("111112222"))
+    np.testing.assert_array_equal(divided(mine, labels("222030440"), least=3), labels("111111111"))
+
+
+def test_objects_stay_as_they_are_if_there_would_be_too_many():
+    mine = np.repeat(np.arange(1, 201), 2)[None].astype(np.uint8)
+    assert divided(mine, np.arange(1, 401)[None], least=1) is mine
+
+
+def test_the_pseudo_objects_of_each_clip_are_divided_once(clips: ArrayClips):
+    before, halves = PastedClips(clips, **SETTINGS), Halves()
+    counts = [int(before.window(0, start, 1)["pseudo_labels"].max()) for start in range(4)]
+    after = before.divided_by(halves)
+    more = [int(after.window(0, start, 1)["pseudo_labels"].max()) for start in range(4)]
+    assert (before.divided, after.divided, halves.asked) == (False, True, len(clips))
+    assert min(counts) >= 2
+    assert min(more) >= 4
+    assert int(before.window(0, 0, 1)["pseudo_labels"].max()) == counts[0]
+
+
+def test_objects_of_clips_are_divided_too(clips: ArrayClips):
+    source = ClipsWithPasted(clips, PastedClips(clips, **SETTINGS), seed=0)
+    halved = source.divided_by(Halves())
+    assert (source.divided, halved.divided) == (False, True)
+    assert [int(each.window(0, 0, 1)["pseudo_labels"].max()) for each in (source, halved)] == [2, 4]
+
+
+def test_forgotten_pseudo_objects_are_divided_again(clips: ArrayClips):
+    halves = Halves()
+    source = PastedClips(clips, **SETTINGS, kept_bytes=1).divided_by(halves)
+    for _ in range(2):
+        assert [source.window(index, 0, 1)["pseudo_labels"].max() >= 4 for index in range(2)] == [True, True]
+    assert halves.asked > len(clips)
+
+
+def test_from_the_start_on_the_model_divides_with_its_weights_of_that_time(clips: ArrayClips):
+    model = eager()
+    source = model.training_source(clips)
+    assert model.next_source(source, START - 0.01) is source
+    taught = model.next_source(source, START)
+    assert model.next_source(taught, 1.0) is taught
+    expected = deepcopy(model).next_source(source, START).window(0, 0, 1)["pseudo_labels"]
+    for value in model.parameters():
+        value.data.zero_()
+    image = taught.window(0, 0, 1)["pseudo_labels"]
+    assert torch.equal(image, expected)
+    assert int(image.max()) > int(source.window(0, 0, 1)["pseudo_labels"].max())
+
+
+def test_true_labels_are_not_divided(clips: ArrayClips):
+    assert Supervised(SupervisedConfig()).next_source(clips, 1.0) is clips
+
+
+@pytest.mark.parametrize("step", [3, 4])
+def test_a_run_that_was_stopped_goes_on_with_the_same_teacher(tmp_path: Path, clips: ArrayClips, step: int):
+    config = override(
+        ContactConfig(), {"train.steps": STEPS, "train.batch": 2, "train.learning_rate": 0.05, "model.bias": BIAS}
+    )
+
+    def run(folder: Path, report: Callable[[Status], None] = lambda status: None) -> dict[str, torch.Tensor]:
+        return train(clips, None, config, folder=folder, device="cpu", report=report, build=eager).model.state_dict()
+
+    def stop(status: Status) -> None:
+        if status.step == step:
+            signal.raise_signal(signal.SIGTERM)
+
+    whole = run(tmp_path / "whole")
+    with pytest.raises(Interrupted):
+        run(tmp_path / "parts", stop)
+    parts = run(tmp_path / "parts")
+    assert all(torch.equal(value, parts[name]) for name, value in whole.items())
+
+
+def test_teachers_of_other_models_are_refused():
+    model = eager()
+    model.next_source(PastedClips(ArrayClips([balls(PLACES)[0]]), **SETTINGS), 1.0)
+    state = model.training_state()
+    other = ContactModel(ContactConfig())
+    other.restore_training_state({})
+    assert other.training_state() == {}
+    other.restore_training_state(state)
+    assert all(torch.equal(value, state[name]) for name, value in other.training_state().items())
+    lacking = {name: value for name, value in state.items() if name != "network.stem.bias"}
+    wrong = {**state, "network.stem.bias": torch.zeros(1)}
+    for broken in (lacking, wrong):
+        with pytest.raises(UsageError, match="teacher does not fit"):
+            ContactModel(ContactConfig()).restore_training_state(broken)
+
+
+def eager(config: ContactConfig | None = None) -> ContactModel:
+    """A model that takes everything for foreground, and divides it."""
+    torch.manual_seed(0)
+    model = ContactModel(config or override(ContactConfig(), {"model.bias": BIAS}))
+    model.network.head[-1].bias.data[0] = 9.0
+    return model
