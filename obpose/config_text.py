@@ -17,7 +17,7 @@ _NAMED, _LONGEST = 3, 80
 """Largest number of unknown values that a message names, and of characters that it shows of a name."""
 _LARGEST = 2**63 - 1
 """Largest absolute value of a whole number."""
-ADDED_LATER: Plain = {"image_scale": 1, "rise": 0.0, "clean_depth": False}
+ADDED_LATER: Plain = {"image_scale": 1, "rise": 0.0, "clean_depth": False, "self_training": False}
 """Values that older files lack, with what older versions did. Settings of results leave them out where they have these
 values, so that older results keep their keys."""
 

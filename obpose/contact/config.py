@@ -30,6 +30,9 @@ class ContactModelConfig:
     (`obpose.data.clean_depth`). Specks far from their object then become background (`obpose.contact.clip`)."""
     gap: float = 0.06
     """Largest distance in metres between neighbouring points of a pseudo-object."""
+    self_training: bool = False
+    """Whether pseudo-objects that the network divides with certainty become several after half of the training
+    (`obpose.contact.self_training`)."""
     bias: float = 0.5
     """Value added to the logits of affinities before pixels are grouped: larger values divide less."""
     division_gap: float | None = None

@@ -87,8 +87,9 @@ class ContactModel(Trainable):
         return clips.divided_by(self._teacher) if self._teacher else clips
 
     def next_source(self, source: ClipSource, fraction: float) -> ClipSource:
-        """Divide the pseudo-objects once a share of the budget is used (`obpose.contact.self_training`)."""
-        if fraction < START or not isinstance(source, PastedClips | ClipsWithPasted) or source.divided:
+        """Divide the pseudo-objects from a share of the budget on, if so set (`obpose.contact.self_training`)."""
+        due = self.config.model.self_training and fraction >= START
+        if not due or not isinstance(source, PastedClips | ClipsWithPasted) or source.divided:
             return source
         self._teacher = self._teacher or Teacher(self._copy())
         return source.divided_by(self._teacher)

@@ -20,7 +20,8 @@ from tests.worlds.sphere_clips import balls
 
 PLACES = np.array([[[-0.1, 0.05, 0.045], [0.08, -0.1, 0.045]]])
 SETTINGS = {"table": 0.0, "floor": 0.0015, "gap": 0.06, "clean": False, "seed": 0}
-STEPS, BIAS = 6, -20.0
+CONFIG = override(ContactConfig(), {"model.bias": -20.0, "model.self_training": True})
+"""Divides objects everywhere."""
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +96,7 @@ def test_from_the_start_on_the_model_divides_with_its_weights_of_that_time(clips
     model = eager()
     source = model.training_source(clips)
     assert model.next_source(source, START - 0.01) is source
+    assert eager(override(CONFIG, {"model.self_training": False})).next_source(source, START) is source
     taught = model.next_source(source, START)
     assert model.next_source(taught, 1.0) is taught
     expected = deepcopy(model).next_source(source, START).window(0, 0, 1)["pseudo_labels"]
@@ -106,14 +108,13 @@ def test_from_the_start_on_the_model_divides_with_its_weights_of_that_time(clips
 
 
 def test_true_labels_are_not_divided(clips: ArrayClips):
-    assert Supervised(SupervisedConfig()).next_source(clips, 1.0) is clips
+    config = override(SupervisedConfig(), {"model.self_training": True})
+    assert Supervised(config).next_source(clips, 1.0) is clips
 
 
 @pytest.mark.parametrize("step", [3, 4])
 def test_a_run_that_was_stopped_goes_on_with_the_same_teacher(tmp_path: Path, clips: ArrayClips, step: int):
-    config = override(
-        ContactConfig(), {"train.steps": STEPS, "train.batch": 2, "train.learning_rate": 0.05, "model.bias": BIAS}
-    )
+    config = override(CONFIG, {"train.steps": 6, "train.batch": 2, "train.learning_rate": 0.05})
 
     def run(folder: Path, report: Callable[[Status], None] = lambda status: None) -> dict[str, torch.Tensor]:
         return train(clips, None, config, folder=folder, device="cpu", report=report, build=eager).model.state_dict()
@@ -131,7 +132,7 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_teacher(tmp_path: Path, cl
 
 def test_teachers_of_other_models_are_refused():
     model = eager()
-    model.next_source(PastedClips(ArrayClips([balls(PLACES)[0]]), **SETTINGS), 1.0)
+    model.next_source(model.training_source(ArrayClips([balls(PLACES)[0]])), 1.0)
     state = model.training_state()
     other = ContactModel(ContactConfig())
     other.restore_training_state({})
@@ -145,9 +146,9 @@ def test_teachers_of_other_models_are_refused():
             ContactModel(ContactConfig()).restore_training_state(broken)
 
 
-def eager(config: ContactConfig | None = None) -> ContactModel:
-    """A model that takes everything for foreground, and divides it."""
+def eager(config: ContactConfig = CONFIG) -> ContactModel:
+    """A model that takes everything for foreground."""
     torch.manual_seed(0)
-    model = ContactModel(config or override(ContactConfig(), {"model.bias": BIAS}))
+    model = ContactModel(config)
     model.network.head[-1].bias.data[0] = 9.0
     return model
