@@ -115,13 +115,15 @@ def _conform(value: Any, kind: Any, name: str) -> Any:
 
 
 def _read(text: str, kind: Any) -> Any:
-    """Parse a text: JSON, a list without brackets, `none`, or else the text itself."""
+    """Parse a text: JSON, a list without brackets, `none`, `True` or `False`, or else the text itself."""
     from datagen.storage.safe_io import parse_json  # late: --help needs no NumPy
 
     if get_origin(kind) is tuple and not text.startswith("["):
         text = f"[{text}]"
     if text.lower() in ("none", "null") and type(None) in get_args(kind):
         return None
+    if kind is bool:
+        text = text.lower()
     try:
         return parse_json(text)
     except ValueError:  # bad JSON, but also NaN, infinity and numbers of thousands of digits

@@ -99,6 +99,14 @@ def test_changes_are_read_as_what_the_value_is(text: str, change: dict[str, Any]
     make_config(**found)
 
 
+@pytest.mark.parametrize(("text", "value"), [("true", True), ("True", True), ("FALSE", False)])
+def test_truth_is_written_as_in_json_or_python(text: str, value: bool):
+    name = "model.clean_depth"
+    assert parse_changes([f"{name}={text}"], ContactConfig) == {name: value}
+    with pytest.raises(UsageError, match="expected true or false"):
+        parse_changes([f"{name}=1"], ContactConfig)
+
+
 def test_the_last_of_two_changes_counts():
     assert parse_changes(["train.batch=4", "train.batch=5"]) == {"train.batch": 5}
 
