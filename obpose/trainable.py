@@ -51,7 +51,7 @@ class Trainable(nn.Module, ABC):
         return {}
 
     def restore_training_state(self, state: Mapping[str, Tensor]) -> None:
-        """Restore what `training_state` gave, before `training_source` is called.
+        """Restore what `training_state` gave, before `next_source` is called.
 
         Raises:
             UsageError: it does not fit the model.

@@ -116,6 +116,9 @@ def check_contact_bounds(config: ContactConfig) -> None:
     needed = 2 if isinstance(config, OgcConfig) else 1
     expect(frames == needed, "train.frames", frames, f"{needed}, as the network sees single images, or pairs of them")
     expect(views == "separate", "train.views", views, "separate, as the network sees single images")
+    pasted = not isinstance(config, OgcConfig | SupervisedConfig)
+    taught = config.model.self_training
+    expect(pasted or not taught, "model.self_training", taught, "false, as this model learns from no pseudo-objects")
 
 
 def check_contact_obpose_bounds(config: ContactObPoseConfig) -> None:

@@ -17,7 +17,6 @@ from einops import rearrange
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from datagen.storage.safe_io import brief_reason
 from obpose.contact.clip import Image as ClipImage
 from obpose.contact.clip import label_map, segment_clip
 from obpose.contact.components import OFFSETS, image_components
@@ -83,11 +82,10 @@ class ContactModel(Trainable):
         """Images that are pasted from the clips of a source."""
         model = self.config.model
         settings = {"table": model.table, "floor": model.floor, "gap": model.gap, "clean": model.clean_depth}
-        clips = PastedClips(source, **settings, seed=self.config.train.seed)
-        return clips.divided_by(self._teacher) if self._teacher else clips
+        return PastedClips(source, **settings, seed=self.config.train.seed)
 
     def next_source(self, source: ClipSource, fraction: float) -> ClipSource:
-        """Divide the pseudo-objects from a share of the budget on, if so set (`obpose.contact.self_training`)."""
+        """Divide the pseudo-objects after `START` of the budget, if configured (`obpose.contact.self_training`)."""
         due = self.config.model.self_training and fraction >= START
         if not due or not isinstance(source, PastedClips | ClipsWithPasted) or source.divided:
             return source
@@ -95,7 +93,7 @@ class ContactModel(Trainable):
         return source.divided_by(self._teacher)
 
     def training_state(self) -> dict[str, Tensor]:
-        """Give the weights of the model that divides the pseudo-objects, if there is one yet."""
+        """Give the weights of the copy that divides the pseudo-objects, if there is one yet."""
         return self._teacher.model.state_dict() if self._teacher else {}
 
     def restore_training_state(self, state: Mapping[str, Tensor]) -> None:
@@ -107,19 +105,22 @@ class ContactModel(Trainable):
         if not state:
             return
         model = self._copy()
-        try:
-            model.load_state_dict(state)
-        except RuntimeError as error:
+        expected = model.state_dict()
+        fits = state.keys() == expected.keys() and all(
+            (state[name].shape, state[name].dtype) == (value.shape, value.dtype) for name, value in expected.items()
+        )
+        if not fits:
             raise UsageError(
-                f"The checkpoint's teacher does not fit the model of this version: {brief_reason(error)}. Begin anew "
-                "in another folder with --out."
-            ) from None
+                "The checkpoint's copy of the network that divides pseudo-objects does not fit the model of this "
+                "version. Begin anew in another folder with --out."
+            )
+        model.load_state_dict(state)
         self._teacher = Teacher(model)
 
     def _copy(self) -> "ContactModel":
         """A copy on the CPU, in evaluation mode."""
         with torch.random.fork_rng(devices=[]):
-            copy = ContactModel(self.config)
+            copy = type(self)(self.config)
         copy.load_state_dict(self.state_dict())
         return copy.eval()
 
@@ -218,7 +219,7 @@ class ContactModel(Trainable):
 
 @dataclass(frozen=True, eq=False)
 class Teacher:
-    """Model of the middle of a training, which divides pseudo-objects."""
+    """Frozen copy of the model, made halfway through the training, which divides pseudo-objects."""
 
     model: ContactModel
 

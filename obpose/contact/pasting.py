@@ -96,7 +96,7 @@ class PseudoScene:
 
 
 Divide = Callable[[PseudoScene], UInt8[np.ndarray, "height width"]]
-"""Function that gives the pseudo-objects of a scene anew: from 1, and 0 elsewhere."""
+"""Function that relabels the pseudo-objects of a scene: from 1, and 0 elsewhere."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,7 +61,7 @@ class ContactObPose(ObPose):
         return ClipsWithPasted(source, self.contact.pasted_clips(source), seed=self.config.train.seed, scale=scale)
 
     def next_source(self, source: ClipSource, fraction: float) -> ClipSource:
-        """Divide the pseudo-objects from a share of the budget on, if so set."""
+        """Divide the pseudo-objects as the contact model does."""
         return self.contact.next_source(source, fraction)
 
     def training_state(self) -> dict[str, Tensor]:

@@ -179,13 +179,10 @@ class _Run:
         progress, settings = self.progress, self.config.train
         budget, watch = Budget.of(settings), Stopwatch(self.fabric.device, progress.seconds)
         fraction = budget.fraction(progress.step, progress.seconds)
+        self._change_sources(fraction)
         self._save()
-        feed = self._feed(self.source) if fraction < 1 else iter(())
+        feed = self._feed() if fraction < 1 else iter(())
         while fraction < 1:
-            if (source := self.learner.model.next_source(self.source, fraction)) is not self.source:
-                self.source, feed = source, self._feed(source)
-                if self.val_clips is not None:
-                    self.val_clips = self.learner.model.next_source(self.val_clips, fraction)
             # One step; its time counts towards the budget.
             rate = learning_rate(settings, fraction)
             with watch.running():
@@ -193,6 +190,8 @@ class _Run:
             progress.step += 1
             progress.seconds = self._agree(watch.seconds)
             before, fraction = fraction, budget.fraction(progress.step, progress.seconds)
+            if fraction < 1 and self._change_sources(fraction):
+                feed = self._feed()
             # Logs, validation and progress.
             if self.record:
                 self.record.log_step(progress.step, progress.seconds, rate, result)
@@ -208,12 +207,20 @@ class _Run:
                 self._save()
         self._save()
 
-    def _feed(self, source: ClipSource) -> Any:
+    def _change_sources(self, fraction: float) -> bool:
+        """Let the model change the training data, before the next step and checkpoint; tell whether it did."""
+        model, before = self.learner.model, self.source
+        self.source = model.next_source(before, fraction)
+        if self.val_clips is not None:
+            self.val_clips = model.next_source(self.val_clips, fraction)
+        return self.source is not before
+
+    def _feed(self) -> Any:
         settings, fabric = self.config.train, self.fabric
-        frames = min(settings.frames, source.frames_of_clip)
+        frames = min(settings.frames, self.source.frames_of_clip)
         sampling = Sampling(
-            clips=len(source),
-            frames_of_clip=source.frames_of_clip,
+            clips=len(self.source),
+            frames_of_clip=self.source.frames_of_clip,
             frames=frames,
             batch=settings.batch * (settings.frames // frames) * fabric.world_size,
             seed=settings.seed,
@@ -221,7 +228,7 @@ class _Run:
         share = Share(fabric.global_rank, fabric.world_size)
         readers = readers_for(fabric.device)
         return batches(
-            source,
+            self.source,
             sampling,
             share,
             first_step=self.progress.step,

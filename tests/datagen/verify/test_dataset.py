@@ -194,7 +194,7 @@ def test_workers_do_not_outlive_a_verification_that_is_killed(plain: Path):
     process = subprocess.Popen([sys.executable, "-c", program, str(plain)], stdout=subprocess.PIPE)
     assert process.stdout
     assert process.stdout.readline() == b"two\n"
-    # Other processes that start here, such as those of libraries, end at once.
+    # Libraries may start short-lived processes, too.
     lines = {child: command_line(child) for child in descendants(process.pid)}
     workers = {child: line for child, line in lines.items() if b"datagen.pipeline.worker" in line}
     assert len(workers) == 2

@@ -9,12 +9,15 @@ import torch
 
 from obpose.baselines.supervised import Supervised
 from obpose.config import override
-from obpose.contact.config import ContactConfig, SupervisedConfig
-from obpose.contact.model import ContactModel
+from obpose.contact.clip import Image
+from obpose.contact.config import ContactConfig, OgcConfig, SupervisedConfig, check_contact_bounds
+from obpose.contact.model import ContactModel, Teacher
 from obpose.contact.pasting import ClipsWithPasted, PastedClips, PseudoScene
-from obpose.contact.self_training import START, divided
-from obpose.data.clips import ArrayClips
+from obpose.contact.scene_model import build_contact_obpose
+from obpose.contact.self_training import CERTAINTY, START, divided
+from obpose.data.clips import ArrayClips, ClipSource
 from obpose.errors import Interrupted, UsageError
+from obpose.systems import find_system
 from obpose.training.loop import Status, train
 from tests.worlds.sphere_clips import balls
 
@@ -61,9 +64,11 @@ def test_small_pieces_and_background_join_the_nearest_larger_piece():
     np.testing.assert_array_equal(divided(mine, labels("222030440"), least=3), labels("111111111"))
 
 
-def test_objects_stay_as_they_are_if_there_would_be_too_many():
-    mine = np.repeat(np.arange(1, 201), 2)[None].astype(np.uint8)
-    assert divided(mine, np.arange(1, 401)[None], least=1) is mine
+@pytest.mark.parametrize("count", [255, 256])
+def test_objects_stay_as_they_are_if_there_would_be_too_many(count: int):
+    mine = np.repeat(np.arange(1, 129), 2)[None, :count].astype(np.uint8)
+    found = divided(mine, np.arange(1, count + 1)[None], least=1)
+    assert int(found.max()) == (255 if count == 255 else 128)
 
 
 def test_the_pseudo_objects_of_each_clip_are_divided_once(clips: ArrayClips):
@@ -107,6 +112,69 @@ def test_from_the_start_on_the_model_divides_with_its_weights_of_that_time(clips
     assert int(image.max()) > int(source.window(0, 0, 1)["pseudo_labels"].max())
 
 
+def test_single_images_are_grouped_with_certainty(clips: ArrayClips, monkeypatch: pytest.MonkeyPatch):
+    """Of two objects one is divided into halves, and of the other one five pixels are cut off, which are too few."""
+    scene, asked = PastedClips(clips, **SETTINGS)._scene(0), []
+
+    def groups(image: Image, bias: float) -> np.ndarray:
+        asked.append(bias)
+        rows, columns = np.nonzero(scene.labels == 1)
+        found = scene.labels.astype(np.int64)
+        found[rows[: len(rows) // 2], columns[: len(rows) // 2]] = 3
+        found[tuple(np.argwhere(scene.labels == 2)[:5].T)] = 4
+        return found[image.mask]
+
+    monkeypatch.setattr(Image, "groups", groups)
+    found = Teacher(eager())(scene)
+    assert asked == [CONFIG.model.bias + CERTAINTY]
+    assert [len(np.unique(found[scene.labels == name])) for name in (1, 2)] == [2, 1]
+
+
+def test_clean_images_are_not_cleaned_again(clips: ArrayClips, monkeypatch: pytest.MonkeyPatch):
+    scene = PastedClips(clips, **SETTINGS)._scene(0)
+    monkeypatch.setattr("obpose.contact.model.clean_depth", lambda observation: pytest.fail("it was cleaned"))
+    assert Teacher(eager(override(CONFIG, {"model.clean_depth": True})))(scene).max() >= scene.count
+
+
+def test_random_numbers_are_left_alone(clips: ArrayClips):
+    model = eager()
+    before = torch.get_rng_state()
+    model.next_source(model.training_source(clips), START)
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_validation_images_are_divided_like_those_of_the_training(clips: ArrayClips, monkeypatch: pytest.MonkeyPatch):
+    seen: list[tuple[ClipSource, bool]] = []
+    window = PastedClips.window
+    monkeypatch.setattr(
+        PastedClips, "window", lambda self, *rest: seen.append((self._source, self.divided)) or window(self, *rest)
+    )
+    val = ArrayClips([balls(PLACES * [-1, 1, 1])[0]])
+    train(clips, val, override(CONFIG, {"train.steps": 4, "train.batch": 2}), device="cpu", build=eager)
+    for source in (clips, val):
+        assert {divided for used, divided in seen if used is source} == {False, True}
+
+
+def test_obpose_divides_as_its_contact_model_does(clips: ArrayClips):
+    config = find_system("obpose-contact").config("cpu", {"contact.self_training": True, "model.voxels": 4})
+    model, other = build_contact_obpose(config), build_contact_obpose(config)
+    source = model.training_source(clips)
+    assert model.next_source(source, START - 0.01) is source
+    taught = model.next_source(source, START)
+    assert isinstance(taught, ClipsWithPasted)
+    assert taught.divided
+    other.restore_training_state(model.training_state())
+    weights = model.contact.state_dict()
+    assert all(torch.equal(value, weights[name]) for name, value in other.training_state().items())
+    assert weights.keys() == other.training_state().keys()
+
+
+@pytest.mark.parametrize("config", [SupervisedConfig(), OgcConfig()])
+def test_models_without_pseudo_objects_refuse_it(config: ContactConfig):
+    with pytest.raises(UsageError, match=r"model\.self_training is True; expected false"):
+        check_contact_bounds(override(config, {"model.self_training": True}))
+
+
 def test_true_labels_are_not_divided(clips: ArrayClips):
     config = override(SupervisedConfig(), {"model.self_training": True})
     assert Supervised(config).next_source(clips, 1.0) is clips
@@ -141,8 +209,9 @@ def test_teachers_of_other_models_are_refused():
     assert all(torch.equal(value, state[name]) for name, value in other.training_state().items())
     lacking = {name: value for name, value in state.items() if name != "network.stem.bias"}
     wrong = {**state, "network.stem.bias": torch.zeros(1)}
-    for broken in (lacking, wrong):
-        with pytest.raises(UsageError, match="teacher does not fit"):
+    rounded = {name: value.to(torch.bfloat16) for name, value in state.items()}
+    for broken in (lacking, wrong, rounded):
+        with pytest.raises(UsageError, match="copy of the network that divides pseudo-objects does not fit"):
             ContactModel(ContactConfig()).restore_training_state(broken)
 
 
