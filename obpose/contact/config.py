@@ -31,7 +31,7 @@ class ContactModelConfig:
     gap: float = 0.06
     """Largest distance in metres between neighbouring points of a pseudo-object."""
     self_training: bool = False
-    """Whether pseudo-objects that the network divides with certainty become several after half of the training
+    """Whether the network divides pseudo-objects that hold several objects, after half of the training
     (`obpose.contact.self_training`)."""
     bias: float = 0.5
     """Value added to the logits of affinities before pixels are grouped: larger values divide less."""
@@ -116,9 +116,9 @@ def check_contact_bounds(config: ContactConfig) -> None:
     needed = 2 if isinstance(config, OgcConfig) else 1
     expect(frames == needed, "train.frames", frames, f"{needed}, as the network sees single images, or pairs of them")
     expect(views == "separate", "train.views", views, "separate, as the network sees single images")
-    pasted = not isinstance(config, OgcConfig | SupervisedConfig)
-    taught = config.model.self_training
-    expect(pasted or not taught, "model.self_training", taught, "false, as this model learns from no pseudo-objects")
+    if isinstance(config, OgcConfig | SupervisedConfig):
+        chosen = config.model.self_training
+        expect(not chosen, "model.self_training", chosen, "false, as this model learns from no pseudo-objects")
 
 
 def check_contact_obpose_bounds(config: ContactObPoseConfig) -> None:

@@ -1,4 +1,4 @@
-"""Self-training: pseudo-objects that the network divides with certainty become several (Scudder 1965).
+"""Self-training (Scudder 1965): the network divides pseudo-objects that hold several objects, and learns from that.
 
 Objects that touch are one connected component, and so one pseudo-object. The network learns borders from pasted
 contacts. After half of the training it divides many of these components, and few single objects.
@@ -14,6 +14,7 @@ CERTAINTY = 1.0
 """Added to the bias for this division, so that few single objects are divided."""
 
 Labels = UInt8[np.ndarray, "height width"]
+"""Pseudo-objects of an image, from 1; 0 elsewhere."""
 
 
 def divided(labels: Labels, other: Int64[np.ndarray, "height width"], *, least: int) -> Labels:

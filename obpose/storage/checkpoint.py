@@ -56,7 +56,7 @@ class TrainingState:
     """Optimiser state by key `parameter.value`."""
     info: Info
     extra: State = field(default_factory=dict)
-    """What else the model needs in training (`Trainable.training_state`)."""
+    """Tensors by name that only training needs, besides weights and optimiser: those of `Trainable.training_state`."""
 
 
 def save_model(folder: Path, weights: State, config: Configuration, info: Info) -> None:
