@@ -201,16 +201,16 @@ SYSTEMS: dict[str, System] = {
         {},
         DESCRIPTIONS["supervised"],
         ("background slot", "camera pose", "plane"),
-        version=5,
+        version=6,
         uses_labels=True,
     ),
-    "ogc": System(OGC, {}, DESCRIPTIONS["ogc"], ("slots", "background slot", "camera pose", "plane")),
+    "ogc": System(OGC, {}, DESCRIPTIONS["ogc"], ("slots", "background slot", "camera pose", "plane"), version=2),
     "contact-masks": System(
         CONTACT,
         {},
         DESCRIPTIONS["contact-masks"],
         ("background slot", "camera pose", "plane"),
-        version=3,
+        version=4,
         on_tracks={"noisy": {"model.clean_depth": True}},
     ),
     "obpose-contact": System(
@@ -224,7 +224,7 @@ SYSTEMS: dict[str, System] = {
         },
         DESCRIPTIONS["obpose-contact"],
         ("background slot", "camera pose", "plane", "object size"),
-        version=4,
+        version=5,
         extra=("density",),
         on_tracks={
             "clevr3d": _COMPLETED,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from obpose.config import Config, TrainConfig
 from obpose.config_bounds import SLOTS, TRAINING, Rule, check_bounds, check_values, expect, not_negative, positive
 
-LEAST_FLOOR = 0.0015
+LEAST_FLOOR = 0.0003
 """Height in metres above the table from which points belong to objects, for exact depth."""
 FLOOR_NOISE = 4.0
 """Height above the table from which points belong to objects, for noisy depth, in standard deviations of the noise."""
@@ -51,6 +51,11 @@ class ContactModelConfig:
         """Height in metres above the table from which points belong to objects."""
         noise = self.noise / SMOOTHED if self.clean_depth else self.noise
         return max(LEAST_FLOOR, FLOOR_NOISE * noise)
+
+    @property
+    def exact(self) -> bool:
+        """Whether depth is so exact that the floor is lower than what the network can tell from the table."""
+        return self.floor == LEAST_FLOOR
 
 
 @dataclass(frozen=True)

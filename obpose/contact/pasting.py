@@ -144,18 +144,18 @@ class PastedClips:
             kept_bytes: Memory for the pseudo-objects of clips that were used.
 
         Raises:
-            UsageError: the first clips show nothing above the table.
+            UsageError: the first clips show no object above the table that lies within an image.
         """
         self._source, self._seed, self._kept_bytes = source, seed, kept_bytes
         self._settings = {"table": table, "floor": floor, "gap": gap, "clean": clean}
         self._scenes: dict[int, PseudoScene] = {}
         self._divide: Divide | None = None
         self._labels: dict[int, UInt8[np.ndarray, "height width"]] = {}
-        if not any(self._scene(index).count for index in range(min(CHECKED, len(source)))):
+        if not any(_shows_whole_object(self._scene(index).labels) for index in range(min(CHECKED, len(source)))):
             raise UsageError(
-                f"The first clips show nothing more than {floor * 1000:g} mm above z = {table:g} m; expected "
-                "objects on a table. If the table is elsewhere, give its height: --set model.table=..., and for "
-                "obpose-contact --set contact.table=... too."
+                f"The first clips wholly show no object in an image, above z = {table:g} m by {floor * 1000:g} mm; "
+                "expected objects on a table. If the table is elsewhere, give its exact height: --set model.table=..., "
+                "and for obpose-contact --set contact.table=... too."
             )
 
     def __len__(self) -> int:
@@ -311,6 +311,12 @@ def pseudo_scenes(
 def least_pixels(size: int) -> int:
     """Number of pixels from which a component of an image of `size` pixels is a pseudo-object."""
     return max(LEAST_PIXELS, round(LEAST_PIXELS * size / 64**2))
+
+
+def _shows_whole_object(labels: UInt8[np.ndarray, "height width"]) -> bool:
+    """Whether a pseudo-object does not reach the border of the image. A table that lies too high always does."""
+    border = np.concatenate([labels[[0, -1]].ravel(), labels[:, [0, -1]].ravel()])
+    return bool(np.setdiff1d(labels, [0, *border]).size)
 
 
 def cut_out(scene: PseudoScene, rng: np.random.Generator) -> Cutout | None:

@@ -3,6 +3,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from obpose.config import override
 from obpose.contact.config import ContactConfig, ContactModelConfig, check_contact_bounds
@@ -149,6 +150,22 @@ def test_depth_is_cleaned_only_if_so_set(observation: PastedObservation, clean: 
     assert torch.equal(model.segment(holed).labels > 0, valid)
     inputs = model.images(holed)
     assert inputs.valid.all() == clean
+
+
+@pytest.mark.parametrize(("noise", "grown"), [(0.0, True), (0.01, False)])
+def test_exact_depth_adds_what_is_above_the_table_next_to_the_foreground(
+    observation: PastedObservation, monkeypatch: pytest.MonkeyPatch, noise: float, grown: bool
+):
+    model = ContactModel(ContactConfig(model=ContactModelConfig(noise=noise))).eval()
+    truth = observation.pseudo_labels[0, :, 0].numpy() > 0
+    found = np.stack([binary_erosion(each, np.ones((3, 3))) for each in truth])
+    found[1] = False  # nothing that the added pixels could be next to
+    outputs = model.outputs
+    logits = torch.from_numpy(np.where(found, 1.0, -1.0)).float()
+    monkeypatch.setattr(model, "outputs", lambda images: outputs(images)._replace(foreground=logits))
+    masks = [image.mask for image in model.clip_images(observation)]
+    assert np.array_equal(masks[0], truth[0] & binary_dilation(found[0], np.ones((3, 3))) if grown else found[0])
+    assert not masks[1].any()
 
 
 @pytest.mark.parametrize("gap", [None, 0.05])

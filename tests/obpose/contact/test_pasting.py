@@ -252,9 +252,12 @@ def test_noise_is_smoothed_only_in_cleaned_images(clean: bool):
     assert error == pytest.approx(0.001 if clean else 0.002, abs=0.0005)
 
 
-def test_clips_that_show_nothing_are_refused():
-    with pytest.raises(UsageError, match="nothing more than"):
-        PastedClips(source([], []), **SETTINGS, seed=0)
+@pytest.mark.parametrize(
+    ("balls", "table"), [([], 0.0), ([(0.0, 0.0)], -0.002)], ids=["nothing", "the table counts as an object"]
+)
+def test_clips_that_show_no_whole_object_are_refused(balls: list[tuple[float, float]], table: float):
+    with pytest.raises(UsageError, match=r"--set model\.table"):
+        PastedClips(source(balls, balls), **{**SETTINGS, "table": table}, seed=0)
 
 
 def test_only_single_frames_are_given(clips: ArrayClips):
