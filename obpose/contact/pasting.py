@@ -15,7 +15,7 @@ from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_ed
 from torch import Tensor
 
 from datagen import geometry
-from obpose.contact.components import image_components
+from obpose.contact.components import image_components, join_floating, numbered
 from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, track
 from obpose.data.clean_depth import clean_depth, without_narrow_holes
 from obpose.data.clips import ClipSource, observation_of
@@ -147,7 +147,13 @@ class PastedClips:
             UsageError: the first clips show no object above the table that lies within an image.
         """
         self._source, self._seed, self._kept_bytes = source, seed, kept_bytes
-        self._settings = {"table": table, "floor": floor, "gap": gap, "clean": clean}
+        self._settings = {
+            "table": table,
+            "floor": floor,
+            "gap": gap,
+            "clean": clean,
+            "still": source.frames_of_clip == 1,
+        }
         self._scenes: dict[int, PseudoScene] = {}
         self._divide: Divide | None = None
         self._labels: dict[int, UInt8[np.ndarray, "height width"]] = {}
@@ -284,11 +290,12 @@ class ClipsWithPasted:
 
 
 def pseudo_scenes(
-    window: Mapping[str, Tensor], *, table: float, floor: float, gap: float, clean: bool
+    window: Mapping[str, Tensor], *, table: float, floor: float, gap: float, clean: bool, still: bool
 ) -> Iterator[PseudoScene]:
     """Find the pseudo-objects in all images of a clip's window (`ClipSource`), by frames and views.
 
     Narrow holes in the depth never divide objects. They have depth and labels only if images are to be cleaned.
+    In scenes at rest (`still`), what seems to float belongs to what is below it (`join_floating`).
     """
     observed = observation_of([window])
     whole = clean_depth(observed) if clean else without_narrow_holes(observed)
@@ -299,10 +306,12 @@ def pseudo_scenes(
     for frame, view in np.ndindex(*depth.shape[:2]):
         standing = valid[frame, view] & (points[frame, view, ..., 2] > table + floor)
         labels = image_components(points[frame, view], standing, gap=gap, least=least)
+        if still:
+            labels = join_floating(labels, points[frame, view], table=table)
         yield PseudoScene(
             rgb=rgb[frame, view].copy(),
             depth=np.where(kept[frame, view], depth[frame, view], 0).astype(np.float32),
-            labels=np.where(kept[frame, view] & (labels <= LARGEST_LABEL), labels, 0).astype(np.uint8),
+            labels=numbered(np.where(kept[frame, view] & (labels <= LARGEST_LABEL), labels, 0)).astype(np.uint8),
             k=whole.k[0, view].numpy(),
             world_from_camera=whole.world_from_camera[0, view].numpy(),
         )

@@ -22,6 +22,7 @@ from tests.worlds.sphere_clips import balls
 
 RADIUS = 0.045
 SETTINGS = {"table": 0.0, "floor": 0.0015, "gap": 0.06, "clean": False}
+SCENE = {**SETTINGS, "still": True}
 
 
 def source(*scenes: Sequence[tuple[float, float]], **options: tuple[float, float, float]) -> ArrayClips:
@@ -49,7 +50,7 @@ def test_images_depend_only_on_seed_clip_and_number(clips: ArrayClips):
 
 
 def test_pseudo_objects_are_found_again_when_their_memory_is_used_up(clips: ArrayClips, monkeypatch):
-    scene = next(pseudo_scenes(clips.window(0, 0, 1), **SETTINGS))
+    scene = next(pseudo_scenes(clips.window(0, 0, 1), **SCENE))
     read: list[int] = []
     window = ArrayClips.window
     monkeypatch.setattr(
@@ -81,7 +82,7 @@ def test_pasted_balls_stand_on_the_table_and_keep_their_size(clips: ArrayClips):
 
 def seen_at_an_angle() -> PseudoScene:
     """A ball in front of a camera from which farther places on the table look higher."""
-    return next(pseudo_scenes(source([(0.0, 0.0)], eye=(0.7, 0.0, 0.6)).window(0, 0, 1), **SETTINGS))
+    return next(pseudo_scenes(source([(0.0, 0.0)], eye=(0.7, 0.0, 0.6)).window(0, 0, 1), **SCENE))
 
 
 def only_low(scene: PseudoScene) -> PseudoScene:
@@ -111,7 +112,7 @@ def test_pasted_objects_keep_their_height_though_they_are_farther_away_or_nearer
 
 def test_objects_that_would_look_much_larger_or_smaller_are_not_pasted():
     near, far = (
-        next(pseudo_scenes(source([place], eye=(0.7, 0.0, 0.6)).window(0, 0, 1), **SETTINGS))
+        next(pseudo_scenes(source([place], eye=(0.7, 0.0, 0.6)).window(0, 0, 1), **SCENE))
         for place in ((0.25, 0.0), (-0.25, 0.0))
     )
     found = [next(pastings(*pair), None) for pair in ((near, near), (near, far), (far, near))]
@@ -120,7 +121,7 @@ def test_objects_that_would_look_much_larger_or_smaller_are_not_pasted():
 
 def drawn(*pixels: tuple[slice | int, slice | int]) -> PseudoScene:
     """An image from above in random colours, in which these pixels are the only object."""
-    scene = next(pseudo_scenes(source([(0.0, 0.0)]).window(0, 0, 1), **SETTINGS))
+    scene = next(pseudo_scenes(source([(0.0, 0.0)]).window(0, 0, 1), **SCENE))
     labels = np.zeros_like(scene.labels)
     for rows, columns in pixels:
         labels[rows, columns] = 1
@@ -200,7 +201,7 @@ def test_the_image_with_the_most_objects_is_used():
     apart = np.array([[[-0.15, 0, RADIUS], [0.15, 0, RADIUS]]])
     together = np.array([[[-0.04, 0, RADIUS], [0.04, 0, RADIUS]]])
     clips = ArrayClips([balls(np.concatenate([together, apart, together]))[0]])
-    assert [scene.count for scene in pseudo_scenes(clips.window(0, 0, 3), **SETTINGS)] == [1, 2, 1]
+    assert [scene.count for scene in pseudo_scenes(clips.window(0, 0, 3), **SCENE)] == [1, 2, 1]
     image = PastedClips(clips, **SETTINGS, seed=0).window(0, 0, 1)
     assert int(image["pseudo_labels"].max()) >= 2
 
@@ -208,7 +209,7 @@ def test_the_image_with_the_most_objects_is_used():
 def test_narrow_holes_do_not_divide_objects_and_belong_to_them_only_if_cleaned():
     clips = source([(-RADIUS, 0.0), (RADIUS, 0.0)])
     image = clips.window(0, 0, 1)
-    labels = next(pseudo_scenes(image, **SETTINGS)).labels
+    labels = next(pseudo_scenes(image, **SCENE)).labels
     longer = int(np.argmax([np.ptp(np.nonzero(labels)[axis]) for axis in (0, 1)]))
     middle = round(np.nonzero(labels)[longer].mean())
     for width, count in ((2, 1), (4, 2)):
@@ -217,8 +218,8 @@ def test_narrow_holes_do_not_divide_objects_and_belong_to_them_only_if_cleaned()
         valid = image["valid"].clone()
         valid[0, 0][tuple(hole)] = False
         holed = {**image, "valid": valid, "depth": image["depth"] * valid}
-        found = next(pseudo_scenes(holed, **SETTINGS))
-        filled = next(pseudo_scenes(holed, **{**SETTINGS, "clean": True}))
+        found = next(pseudo_scenes(holed, **SCENE))
+        filled = next(pseudo_scenes(holed, **{**SCENE, "clean": True}))
         assert found.count == filled.count == count
         # Only in cleaned images those pixels belong to objects that have a neighbour outside.
         ball = labels[tuple(hole)] > 0
@@ -236,18 +237,36 @@ def test_objects_stand_on_the_table_at_any_height():
     raised = {**image, "world_from_camera": image["world_from_camera"].clone()}
     raised["world_from_camera"][:, 2, 3] += 0.3
     one, other = (
-        next(pseudo_scenes(window, **{**SETTINGS, "table": table})).labels
+        next(pseudo_scenes(window, **{**SCENE, "table": table})).labels
         for window, table in ((image, 0.0), (raised, 0.3))
     )
     assert one.max() == 2
     assert np.array_equal(one, other)
 
 
+def test_pseudo_objects_that_lie_in_a_hole_are_left_out(clips: ArrayClips, monkeypatch: pytest.MonkeyPatch):
+    window = clips.window(0, 0, 1)
+    window["valid"][..., 2, 3] = False
+    labels = np.zeros((64, 64), np.int64)
+    labels[2, 3], labels[30:33, 30] = 1, 2
+    monkeypatch.setattr("obpose.contact.pasting.image_components", lambda *args, **settings: labels)
+    scene = next(pseudo_scenes(window, **SCENE))
+    assert (scene.count, np.count_nonzero(scene.labels == 1)) == (1, 3)
+
+
+@pytest.mark.parametrize(("frames", "count"), [(1, 1), (2, 2)], ids=["a still", "a clip"])
+def test_a_ball_above_another_belongs_to_it_only_in_stills(frames: int, count: int):
+    places = np.repeat([[(0.0, 0.0, RADIUS), (0.0, 0.0, 0.3)]], frames, axis=0)
+    clips = PastedClips(ArrayClips([balls(places, eye=(0.7, 0.0, 0.3))[0]] * 2), **SETTINGS, seed=0)
+    labels = clips.pseudo_labels(ArrayClips([balls(places, eye=(0.7, 0.0, 0.3))[0]]).window(0, 0, frames))
+    assert labels.max() == count
+
+
 @pytest.mark.parametrize("clean", [False, True])
 def test_noise_is_smoothed_only_in_cleaned_images(clean: bool):
     image = source([(0.0, 0.0)]).window(0, 0, 1)
     noisy = image["depth"] + 0.002 * torch.randn(image["depth"].shape, generator=torch.Generator().manual_seed(0))
-    found = next(pseudo_scenes({**image, "depth": noisy}, **{**SETTINGS, "floor": 0.01, "clean": clean}))
+    found = next(pseudo_scenes({**image, "depth": noisy}, **{**SCENE, "floor": 0.01, "clean": clean}))
     error = np.std(found.depth - image["depth"][0, 0].numpy())
     assert error == pytest.approx(0.001 if clean else 0.002, abs=0.0005)
 
