@@ -46,7 +46,7 @@ def _spec(name: str, system: System) -> ModelSpec:
         profiles={name: settings_of(system.config(name)) for name in system.architecture.profiles if name != "cpu"},
         views=_views(config),
         configured=partial(_configured, name),
-        on_tracks={track: system.changes_on(track) for track in (*system.on_tracks, *system.at_test)},
+        on_tracks=system.on_tracks,
         at_test=system.at_test,
     )
 
