@@ -98,11 +98,16 @@ def test_what_a_system_is_told_follows_from_its_values():
 
 @pytest.mark.parametrize(
     ("track", "bias", "translation"),
-    [("clevr3d", 2.5, 0.05), ("static", 2.5, 0.0), ("moving", 1.5, 0.0), ("mixed", 0.5, 0.0), ("noisy", 1.0, 0.0)],
+    [
+        ("clevr3d", 2.5, 0.05),
+        ("static", 2.5, 0.0),
+        ("moving", 1.5, 0.0),
+        ("mixed", 1.0, 0.0),
+        ("touching", 0.0, 0.0),
+        ("noisy", 1.0, 0.0),
+    ],
 )
-def test_objects_that_seldom_touch_are_divided_less_and_simple_shapes_are_completed(
-    track: str, bias: float, translation: float
-):
+def test_bias_and_translation_depend_on_the_track(track: str, bias: float, translation: float):
     system = find_system("obpose-contact")
     config = system.config("cpu", system.changes_on(track))
     assert (config.contact.bias, config.model.pose.max_translation) == (bias, translation)
