@@ -27,7 +27,7 @@ from obpose.contact.images import CHANNELS, Images, augmented, cropped, images_o
 from obpose.contact.losses import affinity_loss, embedding_loss, foreground_loss
 from obpose.contact.network import UNet
 from obpose.contact.pasting import ClipsWithPasted, PastedClips, PseudoScene, least_pixels
-from obpose.contact.self_training import CERTAINTY, START, divided
+from obpose.contact.self_training import DIVISION_BIAS, START, divided
 from obpose.data.clean_depth import clean_depth, depth_noise
 from obpose.data.clips import ClipSource, observation_of
 from obpose.errors import UsageError
@@ -240,5 +240,5 @@ class Teacher:
     def __call__(self, scene: PseudoScene) -> UInt8[np.ndarray, "height width"]:
         """Divide the pseudo-objects of a scene that the model divides with certainty."""
         image = self.model.clip_images(observation_of([scene.window()], PastedObservation))[0]
-        found = label_map(image.mask, image.groups(self.model.config.model.bias + CERTAINTY))
+        found = label_map(image.mask, image.groups(DIVISION_BIAS))
         return divided(scene.labels, found, least=least_pixels(scene.labels.size))

@@ -10,8 +10,9 @@ from scipy.spatial import KDTree
 
 START = 0.5
 """Share of the budget after which the network of that time divides the pseudo-objects."""
-CERTAINTY = 1.0
-"""Added to the bias for this division, so that few single objects are divided."""
+DIVISION_BIAS = 1.5
+"""Bias of affinities for this division: large, so that few single objects are divided. It does not depend on the bias
+that acts after training."""
 
 Labels = UInt8[np.ndarray, "height width"]
 """Pseudo-objects of an image, from 1; 0 elsewhere."""

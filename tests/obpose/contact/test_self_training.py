@@ -14,7 +14,7 @@ from obpose.contact.config import ContactConfig, OgcConfig, SupervisedConfig, ch
 from obpose.contact.model import ContactModel, Teacher
 from obpose.contact.pasting import ClipsWithPasted, PastedClips, PseudoScene
 from obpose.contact.scene_model import build_contact_obpose
-from obpose.contact.self_training import CERTAINTY, START, divided
+from obpose.contact.self_training import START, divided
 from obpose.data.clips import ArrayClips, ClipSource
 from obpose.errors import Interrupted, UsageError
 from obpose.systems import find_system
@@ -23,8 +23,14 @@ from tests.worlds.sphere_clips import balls
 
 PLACES = np.array([[[-0.1, 0.05, 0.045], [0.08, -0.1, 0.045]]])
 SETTINGS = {"table": 0.0, "floor": 0.0015, "gap": 0.06, "clean": False, "seed": 0}
-CONFIG = override(ContactConfig(), {"model.bias": -20.0, "model.self_training": True})
-"""Divides objects everywhere."""
+CONFIG = override(ContactConfig(), {"model.self_training": True})
+EVERYWHERE = -20.0
+"""Bias that divides objects everywhere."""
+
+
+@pytest.fixture(autouse=True)
+def divide_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("obpose.contact.model.DIVISION_BIAS", EVERYWHERE)
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +132,7 @@ def test_single_images_are_grouped_with_certainty(clips: ArrayClips, monkeypatch
 
     monkeypatch.setattr(Image, "groups", groups)
     found = Teacher(eager())(scene)
-    assert asked == [CONFIG.model.bias + CERTAINTY]
+    assert asked == [EVERYWHERE]
     assert [len(np.unique(found[scene.labels == name])) for name in (1, 2)] == [2, 1]
 
 
