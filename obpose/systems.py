@@ -228,7 +228,7 @@ SYSTEMS: dict[str, System] = {
         },
         DESCRIPTIONS["obpose-contact"],
         ("background slot", "camera pose", "plane", "object size"),
-        version=5,
+        version=6,
         extra=("density",),
         on_tracks={
             "clevr3d": _COMPLETED,

@@ -105,7 +105,8 @@ class ContactObPose(ObPose):
     def _observed_pose(self, views: EmbeddedViews, masks: Masks) -> tuple[SlotPoints, SlotRotations]:
         """T and R of every slot from the smallest box, which for a standing object reaches down to the table.
 
-        At evaluation the box is that of all points that the clip shows of the object.
+        At evaluation the box is that of all points that the clip shows of the object, unless a translation was learned:
+        that is relative to the boxes of training.
         """
         if self.config.model.pose.conditioning != "full":
             return super()._observed_pose(views, masks)
@@ -114,7 +115,7 @@ class ContactObPose(ObPose):
         table = self.config.model.table or 0.0
         middle, rotation, found = standing_boxes(views.points, owners, slots=center.shape[2], table=table)
         boxes = torch.where(found[..., None], middle, center), rotation
-        if self.training:
+        if self.training or self.config.model.pose.max_translation:
             return boxes
         return boxes_over_time(views.points, views.observation.rgb, owners, boxes, table=table)
 

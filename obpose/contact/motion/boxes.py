@@ -4,12 +4,13 @@ A camera sees one side of an object. While the object turns and others move out 
 view, and its box becomes that of the whole object.
 """
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
@@ -35,6 +36,8 @@ FITTING = 0.002
 """Largest mean residual in metres by which a frame is linked with those before."""
 STEADY = np.cos(np.radians(15))
 """Least cosine of the vertical's rotation for an object that does not turn over."""
+LONGEST_STEP = 0.015
+"""Longest step in metres between neighbouring pixels by which a surface is continued at its border."""
 
 
 class Surface(NamedTuple):
@@ -55,27 +58,29 @@ def boxes_over_time(
 ) -> tuple[Float[Tensor, "batch frame slot 3"], Float[Tensor, "batch frame slot 3 3"]]:
     """T and R of every slot: the smallest box of all points that the clip shows of an object.
 
+    Frames between which its motion is not known have boxes of their own.
+
     Args:
         points: Surface points, world frame, metres.
         rgb: Colours in 0..1.
         owners: Slot of each pixel, from 1, the same over time; 0 is the background.
-        boxes: T and R of each frame on its own, which are kept where motion is not known.
+        boxes: T and R of each frame on its own, which are kept for frames with fewer than `LEAST_POINTS` points.
         table: Height of the table, metres.
     """
     middle, rotation = (value.clone() for value in boxes)
     places, colours, labels = (value.double().cpu().numpy() for value in (points, COLOUR_SCALE * rgb, owners))
     for scene, slot in np.ndindex(len(labels), middle.shape[2]):
-        # Points of the object in each frame.
-        clouds = [
-            Cloud(place[own], colour[own])
-            for place, colour, own in zip(places[scene], colours[scene], labels[scene] == slot + 1, strict=True)
-        ]
+        # Points of the object in each frame, and just beyond its border.
+        images = [*zip(places[scene], colours[scene], labels[scene] == slot + 1, strict=True)]
+        clouds = [Cloud(place[own], colour[own]) for place, colour, own in images]
+        seen = [cloud.points for cloud in clouds]
+        whole = [np.concatenate([place[own], border_points(place, own)]) for place, _, own in images]
         # One box for each group of frames with known motions, carried along by them.
         for motions in linked_frames(clouds):
-            if len(motions) == 1:
-                continue
-            fused = torch.from_numpy(fused_points(clouds, motions, table=table))[None, None, None].to(middle)
-            center, axes = (value[0, 0, 0] for value in smallest_boxes(fused, fused.new_ones(fused.shape[:-1]).bool()))
+            fused = torch.from_numpy(fused_points(seen, motions, table=table))[None, None, None].to(middle)
+            axes = smallest_boxes(fused, fused.new_ones(fused.shape[:-1]).bool())[1][0, 0, 0]
+            local = torch.from_numpy(fused_points(whole, motions, table=table)).to(middle) @ axes
+            center = axes @ (local.amin(dim=0) + local.amax(dim=0)) / 2
             for frame, motion in motions.items():
                 turn, shift = (torch.from_numpy(value).to(middle) for value in motion)
                 middle[scene, frame, slot], rotation[scene, frame, slot] = turn @ center + shift, turn @ axes
@@ -138,16 +143,37 @@ def aligned(cloud: Cloud, surface: Surface, motion: Motion) -> tuple[Motion, flo
     return motion, float(np.where(distances > FARTHEST, FARTHEST, residuals).mean())
 
 
-def fused_points(clouds: Sequence[Cloud], motions: dict[int, Motion], *, table: float) -> Points:
+def border_points(
+    points: Float[np.ndarray, "view height width 3"], own: Bool[np.ndarray, "view height width"]
+) -> Points:
+    """Where an object ends: on average half a pixel beyond its outermost pixels.
+
+    These points continue the surface horizontally by half of the step between the last two pixels of the object. Its
+    height is known better, from the upper side and the table.
+    """
+    found = []
+    for axis, flipped in itertools.product((1, 2), (False, True)):
+        place, mine = (np.moveaxis(value, axis, 0) for value in (points, own))
+        if flipped:
+            place, mine = place[::-1], mine[::-1]
+        last = mine[:-2] & mine[1:-1] & ~mine[2:]
+        step = (place[1:-1] - place[:-2])[last] * (1, 1, 0)
+        length = np.linalg.norm(step, axis=-1, keepdims=True)
+        step *= np.minimum(1.0, LONGEST_STEP / np.maximum(length, LONGEST_STEP))
+        found.append(place[1:-1][last] + step / 2)
+    return np.concatenate(found)
+
+
+def fused_points(seen: Sequence[Points], motions: dict[int, Motion], *, table: float) -> Points:
     """Points of an object in a group of frames, as in the first of them.
 
     Those of an object that stands on the table and does not turn over are repeated there, at its feet.
     """
-    points = np.concatenate([motion.inverse.moved(clouds[frame]).points for frame, motion in motions.items()])
+    points = np.concatenate([(seen[frame] - motion.shift) @ motion.rotation for frame, motion in motions.items()])
     # Direction and height of the vertical as seen from the object: z = R_3 x + t_3.
     verticals = np.array([motion.rotation[2] for motion in motions.values()])
     vertical = verticals.mean(axis=0) / np.linalg.norm(verticals.mean(axis=0))
-    lowest = median(np.array([clouds[frame].points[:, 2].min() for frame in motions]))
+    lowest = median(np.array([seen[frame][:, 2].min() for frame in motions]))
     if (verticals @ vertical).min() < STEADY or lowest > table + STANDING:
         return points
     height = points @ vertical + median(np.array([motion.shift[2] for motion in motions.values()])) - table

@@ -3,7 +3,15 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from obpose.contact.motion.boxes import LEAST_POINTS, Surface, aligned, boxes_over_time, fused_points, linked_frames
+from obpose.contact.motion.boxes import (
+    LEAST_POINTS,
+    Surface,
+    aligned,
+    border_points,
+    boxes_over_time,
+    fused_points,
+    linked_frames,
+)
 from obpose.contact.motion.rigidity import REST, Motion
 from obpose.contact.motion.tracking import Cloud
 
@@ -55,8 +63,8 @@ def test_frames_are_linked_until_the_motion_is_unknown():
 def test_standing_objects_have_feet_unless_they_turn_over(axis: str, height: float, feet: bool, table: float):
     motions = {frame: turned(20.0 * frame, axis=axis) for frame in range(3)}
     points = np.array([[0.0, 0.0, 0.01], [0.01, 0.0, 0.04]]) + np.array([0, 0, height + table])
-    clouds = [motion.moved(Cloud(points, points)) for motion in motions.values()]
-    found = fused_points(clouds, motions, table=table)
+    moved = [motion.moved(Cloud(points, points)).points for motion in motions.values()]
+    found = fused_points(moved, motions, table=table)
     assert len(found) == (12 if feet else 6)
     np.testing.assert_allclose(found[:6], np.tile(points, (3, 1)), atol=1e-12)
     if feet:
@@ -92,11 +100,42 @@ def test_boxes_become_those_of_the_whole_object():
     assert steps.min() > 1 + 2 * np.cos(np.radians(20))
 
 
-def test_boxes_of_single_frames_stay():
+def test_boxes_of_few_points_stay():
     few = torch.rand(1, 2, 1, 1, 5, 3)
     first = torch.rand(1, 2, 1, 3), torch.eye(3).expand(1, 2, 1, 3, 3)
     found = boxes_over_time(few, few, torch.ones(1, 2, 1, 1, 5, dtype=torch.int64), first, table=0.0)
     assert all(torch.equal(*pair) for pair in zip(found, first, strict=True))
+
+
+def grid(spacing: float, height: float = 0.1) -> np.ndarray:
+    """Image of a horizontal plane, 8 by 10 pixels."""
+    y, x = np.mgrid[:8, :10] * spacing
+    return np.stack([x, y, np.full_like(x, height)], axis=-1)[None]
+
+
+@pytest.mark.parametrize(("spacing", "beyond"), [(0.01, 0.005), (0.04, 0.0075)])
+def test_objects_end_half_a_pixel_beyond_their_border(spacing: float, beyond: float):
+    own = np.zeros((1, 8, 10), bool)
+    own[0, 2:6, 3:7] = True
+    found = border_points(grid(spacing), own)
+    assert len(found) == 16
+    np.testing.assert_allclose(found[:, 2], 0.1)
+    np.testing.assert_allclose(found.min(axis=0)[:2], spacing * np.array([3, 2]) - beyond, atol=1e-9)
+    np.testing.assert_allclose(found.max(axis=0)[:2], spacing * np.array([6, 5]) + beyond, atol=1e-9)
+
+
+def test_the_border_of_an_image_is_not_that_of_an_object():
+    assert len(border_points(grid(0.01), np.ones((1, 8, 10), bool))) == 0
+
+
+def test_the_middle_of_a_box_counts_half_pixels_beyond_the_border():
+    """On the left, the object leaves the image."""
+    places, own = grid(0.01, height=0.05), np.zeros((1, 8, 10), bool)
+    own[0, 1:7, 0:9] = True
+    arrays = (torch.from_numpy(value)[None, None] for value in (places, np.zeros_like(places), own.astype(int)))
+    first = torch.zeros(1, 1, 1, 3), torch.eye(3).expand(1, 1, 1, 3, 3)
+    middle, _ = boxes_over_time(*arrays, first, table=0.0)
+    torch.testing.assert_close(middle[0, 0, 0, :2], torch.tensor([0.0425, 0.035]), atol=1e-4, rtol=0)
 
 
 def test_axes_keep_their_names_where_motion_is_not_known():
