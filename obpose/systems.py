@@ -204,8 +204,9 @@ SYSTEMS: dict[str, System] = {
         {},
         DESCRIPTIONS["supervised"],
         ("background slot", "camera pose", "plane"),
-        version=6,
+        version=7,
         uses_labels=True,
+        at_test={track: {"model.bias": bias} for track, bias in _BIAS.items()},
     ),
     "ogc": System(OGC, {}, DESCRIPTIONS["ogc"], ("slots", "background slot", "camera pose", "plane"), version=2),
     "contact-masks": System(

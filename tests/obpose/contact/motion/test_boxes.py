@@ -107,19 +107,20 @@ def test_boxes_of_few_points_stay():
     assert all(torch.equal(*pair) for pair in zip(found, first, strict=True))
 
 
-def grid(spacing: float, height: float = 0.1) -> np.ndarray:
-    """Image of a horizontal plane, 8 by 10 pixels."""
+def grid(spacing: float, slope: float = 0.0) -> np.ndarray:
+    """Image of a plane, 8 by 10 pixels, 5 cm high at the left."""
     y, x = np.mgrid[:8, :10] * spacing
-    return np.stack([x, y, np.full_like(x, height)], axis=-1)[None]
+    return np.stack([x, y, 0.05 + slope * x], axis=-1)[None]
 
 
 @pytest.mark.parametrize(("spacing", "beyond"), [(0.01, 0.005), (0.04, 0.0075)])
 def test_objects_end_half_a_pixel_beyond_their_border(spacing: float, beyond: float):
     own = np.zeros((1, 8, 10), bool)
     own[0, 2:6, 3:7] = True
-    found = border_points(grid(spacing), own)
+    places = grid(spacing, slope=0.5)
+    found = border_points(places, own)
     assert len(found) == 16
-    np.testing.assert_allclose(found[:, 2], 0.1)
+    np.testing.assert_allclose(np.unique(found[:, 2]), np.unique(places[own][:, 2]))
     np.testing.assert_allclose(found.min(axis=0)[:2], spacing * np.array([3, 2]) - beyond, atol=1e-9)
     np.testing.assert_allclose(found.max(axis=0)[:2], spacing * np.array([6, 5]) + beyond, atol=1e-9)
 
@@ -130,11 +131,11 @@ def test_the_border_of_an_image_is_not_that_of_an_object():
 
 def test_the_middle_of_a_box_counts_half_pixels_beyond_the_border():
     """On the left, the object leaves the image."""
-    places, own = grid(0.01, height=0.05), np.zeros((1, 8, 10), bool)
+    places, own = grid(0.01), np.zeros((1, 8, 10), bool)
     own[0, 1:7, 0:9] = True
-    arrays = (torch.from_numpy(value)[None, None] for value in (places, np.zeros_like(places), own.astype(int)))
+    points, owners = (torch.from_numpy(value)[None, None] for value in (places, own.astype(int)))
     first = torch.zeros(1, 1, 1, 3), torch.eye(3).expand(1, 1, 1, 3, 3)
-    middle, _ = boxes_over_time(*arrays, first, table=0.0)
+    middle, _ = boxes_over_time(points, torch.zeros_like(points), owners, first, table=0.0)
     torch.testing.assert_close(middle[0, 0, 0, :2], torch.tensor([0.0425, 0.035]), atol=1e-4, rtol=0)
 
 
