@@ -17,7 +17,8 @@ from torch import Tensor
 
 from obpose.contact.motion.rigidity import REST, Motion, register
 from obpose.contact.motion.tracking import COLOUR_SCALE, LEAST_OUTLIER, OUTLIER_FACTOR, Cloud, Points, median
-from obpose.model.pose.orientation import STANDING, smallest_boxes
+from obpose.model.pose.minimum_volume import orient
+from obpose.model.pose.orientation import STANDING
 from obpose.model.pose.rotations import equivalents
 
 LEAST_POINTS = 12
@@ -78,7 +79,7 @@ def boxes_over_time(
         # One box for each group of frames with known motions, carried along by them.
         for motions in linked_frames(clouds):
             fused = torch.from_numpy(fused_points(seen, motions, table=table))[None, None, None].to(middle)
-            axes = smallest_boxes(fused, fused.new_ones(fused.shape[:-1]).bool())[1][0, 0, 0]
+            axes = orient(fused, torch.ones_like(fused[..., 0], dtype=torch.bool), min_points=1, tolerance=0.0)[0, 0, 0]
             local = torch.from_numpy(fused_points(whole, motions, table=table)).to(middle) @ axes
             center = axes @ (local.amin(dim=0) + local.amax(dim=0)) / 2
             for frame, motion in motions.items():

@@ -55,27 +55,20 @@ def standing_boxes(
         table: Height of the table, metres.
 
     Returns:
-        Middle of the box; R, world from object; and whether the slot has any points.
+        Middle of the box, the origin without points; R, world from object; and whether the slot has any points.
     """
     own, valid = _own_points(points, owners, slots)
     heights = own[..., 2].masked_fill(~valid, torch.inf)
     stands = heights.amin(dim=-1, keepdim=True) < table + STANDING
     feet = torch.cat([own[..., :2], torch.full_like(own[..., 2:], table)], dim=-1)
     own, valid = torch.cat([own, feet], dim=-2), torch.cat([valid, valid & stands], dim=-1)
-    return *smallest_boxes(own, valid), valid.any(dim=-1)
-
-
-@torch.no_grad()
-def smallest_boxes(
-    points: Float[Tensor, "batch frame slot point 3"], valid: Bool[Tensor, "batch frame slot point"]
-) -> tuple[Float[Tensor, "batch frame slot 3"], Float[Tensor, "batch frame slot 3 3"]]:
-    """Middle of the smallest box around points, the origin without points; and its rotation, world from object."""
-    rotation = orient(points, valid, min_points=MIN_PIXELS)
+    rotation = orient(own, valid, min_points=MIN_PIXELS)
     # Middle of the extent along each axis of the box.
-    local, outside = torch.einsum("bfsni,bfsij->bfsnj", points, rotation), ~valid[..., None]
+    local, outside = torch.einsum("bfsni,bfsij->bfsnj", own, rotation), ~valid[..., None]
     low, high = local.masked_fill(outside, torch.inf).amin(-2), local.masked_fill(outside, -torch.inf).amax(-2)
-    middle = torch.where(valid.any(dim=-1)[..., None], (low + high) / 2, 0.0)
-    return torch.einsum("bfsij,bfsj->bfsi", rotation, middle), rotation
+    found = valid.any(dim=-1)
+    middle = torch.where(found[..., None], (low + high) / 2, 0.0)
+    return torch.einsum("bfsij,bfsj->bfsi", rotation, middle), rotation, found
 
 
 def _own_points(
