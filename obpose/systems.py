@@ -215,7 +215,7 @@ SYSTEMS: dict[str, System] = {
         DESCRIPTIONS["contact-masks"],
         ("background slot", "camera pose", "plane"),
         version=4,
-        on_tracks={"noisy": {"model.clean_depth": True}},
+        on_tracks={"noisy": {"model.bias": 1.0, "model.clean_depth": True}},
         at_test={track: {"model.bias": bias} for track, bias in _BIAS.items()},
     ),
     "obpose-contact": System(

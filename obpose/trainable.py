@@ -37,6 +37,13 @@ class Trainable(nn.Module, ABC):
         """Give the source of the clips of training steps, from that of the dataset's clips."""
         return source
 
+    def check_source(self, source: ClipSource) -> None:
+        """Check that the model can learn from a source that `training_source` gave; not called for validation clips.
+
+        Raises:
+            UsageError: it cannot; the message says what is expected.
+        """
+
     def next_source(self, source: ClipSource, fraction: float) -> ClipSource:
         """Give the source of the steps from here on: `source` itself, unless training goes on with other data.
 

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from obpose.contact.components import image_components
 from obpose.contact.config import OgcConfig
-from obpose.contact.images import Images
+from obpose.contact.images import Images, images_of
 from obpose.contact.model import ContactModel
 from obpose.contact.motion.key_frames import follow_objects
 from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, Followed, register
@@ -111,7 +111,8 @@ class Ogc(ContactModel):
     @torch.no_grad()
     def segment(self, observation: Observation) -> Segmentation:
         """Label objects over whole clips; `attention` holds the largest masks of single images."""
-        images = self.images(observation)
+        valid, observation = observation.valid, self._cleaned(observation)
+        images = images_of(observation, center=self.center, table=self.config.model.table)
         standing = self.standing(images).cpu().numpy()
         single = (self.masks(images).argmax(dim=1).cpu().numpy() + 1) * standing
         points = rearrange(unproject(observation).cpu().numpy(), "b f v h w c -> (b f v) h w c")
@@ -127,8 +128,8 @@ class Ogc(ContactModel):
                 over_time[first + image][standing[first + image]] = found + 1
         shape = observation.depth.shape
         return Segmentation(
-            labels=torch.from_numpy(over_time).view(shape).to(observation.depth.device),
-            attention=torch.from_numpy(single).view(shape).to(observation.depth.device),
+            labels=torch.from_numpy(over_time).view(shape).to(valid.device) * valid,
+            attention=torch.from_numpy(single).view(shape).to(valid.device) * valid,
         )
 
 

@@ -36,8 +36,9 @@ class ContactModelConfig:
     bias: float = 0.5
     """Value added to the logits of affinities before pixels are grouped: larger values divide less."""
     division_gap: float | None = None
-    """Neighbouring points farther apart than this, metres, are divided whatever the network says; None: never. It makes
-    frames of unfamiliar cameras safer, and divides what an object in front hides in the middle."""
+    """Parts of the foreground farther apart than this, metres, are divided whatever the network says, except for specks
+    that join a neighbour; None: never. It makes frames of unfamiliar cameras safer, and divides what an object in front
+    hides in the middle."""
     workspace_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Middle of the observed points, world frame, metres; measured before training."""
     spacing: float = 0.01

@@ -95,7 +95,7 @@ def _normals(points: Float[Tensor, "image 3 height width"]) -> Float[Tensor, "im
 
 
 def augmented(images: Images, generator: torch.Generator | None) -> Images:
-    """Mirror half of the images, permute the colours of more than half, and change brightness and balance."""
+    """Mirror half of the images, permute the colours of half, and change brightness and balance."""
     count, device = len(images.rgb), images.rgb.device
 
     def uniform(*shape: int) -> Tensor:

@@ -79,6 +79,15 @@ class ContactModel(Trainable):
         """Paste training images from the clips of a source; labels of the source are not read."""
         return self.pasted_clips(source)
 
+    def check_source(self, source: ClipSource) -> None:
+        """Check that pasted clips show objects.
+
+        Raises:
+            UsageError: they do not.
+        """
+        if isinstance(source, PastedClips | ClipsWithPasted):
+            source.check()
+
     def pasted_clips(self, source: ClipSource) -> PastedClips:
         """Images that are pasted from the clips of a source."""
         model = self.config.model

@@ -38,7 +38,7 @@ LEAST_VISIBLE, LEAST_LEFT = 0.5, 0.4
 LARGEST_LABEL = 255
 """Further components of an image are no pseudo-objects; they lie below the others."""
 CHECKED = 32
-"""Number of clips, from the first on, one of which must show pseudo-objects."""
+"""Number of clips, one of which must show pseudo-objects."""
 KEPT_BYTES = 2**30
 """Memory for the pseudo-objects of clips that were used; the oldest are found again when they are needed."""
 IMAGES_PER_FRAME = 3.2
@@ -132,7 +132,7 @@ class PastedClips:
         seed: int,
         kept_bytes: int = KEPT_BYTES,
     ):
-        """Check that the clips show objects; pseudo-objects of a clip are found when they are first used.
+        """Prepare the source; pseudo-objects of a clip are found when they are first used.
 
         Args:
             source: Clips with cameras whose world has z upwards.
@@ -142,9 +142,6 @@ class PastedClips:
             clean: Whether noisy depth is smoothed and narrow holes are filled.
             seed: Seed of the images.
             kept_bytes: Memory for the pseudo-objects of clips that were used.
-
-        Raises:
-            UsageError: the first clips show no object above the table that lies within an image.
         """
         self._source, self._seed, self._kept_bytes = source, seed, kept_bytes
         self._settings = {
@@ -157,9 +154,18 @@ class PastedClips:
         self._scenes: dict[int, PseudoScene] = {}
         self._divide: Divide | None = None
         self._labels: dict[int, UInt8[np.ndarray, "height width"]] = {}
-        if not any(_shows_whole_object(self._scene(index).labels) for index in range(min(CHECKED, len(source)))):
+
+    def check(self) -> None:
+        """Check that clips show pseudo-objects that can be pasted: some of `CHECKED` that are spread evenly.
+
+        Raises:
+            UsageError: none shows an object above the table that lies within an image.
+        """
+        checked = np.linspace(0, len(self) - 1, min(CHECKED, len(self))).round().astype(int).tolist()
+        if not any(_shows_whole_object(self._scene(index).labels) for index in checked):
+            table, floor = self._settings["table"], self._settings["floor"]
             raise UsageError(
-                f"The first clips wholly show no object in an image, above z = {table:g} m by {floor * 1000:g} mm; "
+                f"The training clips show no whole object more than {floor * 1000:g} mm above z = {table:g} m; "
                 "expected objects on a table. If the table is elsewhere, give its exact height: --set model.table=..., "
                 "and for obpose-contact --set contact.table=... too."
             )
@@ -260,6 +266,10 @@ class ClipsWithPasted:
     def divided(self) -> bool:
         """Whether this comes from `divided_by`."""
         return self._pasted.divided
+
+    def check(self) -> None:
+        """Check that the clips show pseudo-objects, as `PastedClips.check`."""
+        self._pasted.check()
 
     def divided_by(self, divide: Divide) -> "ClipsWithPasted":
         """Give the same clips, with pseudo-objects that a function divides when they are first used."""

@@ -60,6 +60,10 @@ class ContactObPose(ObPose):
         scale = self.contact.config.model.image_scale
         return ClipsWithPasted(source, self.contact.pasted_clips(source), seed=self.config.train.seed, scale=scale)
 
+    def check_source(self, source: ClipSource) -> None:
+        """Check that the clips show objects, as the contact model does."""
+        self.contact.check_source(source)
+
     def next_source(self, source: ClipSource, fraction: float) -> ClipSource:
         """Divide the pseudo-objects as the contact model does."""
         return self.contact.next_source(source, fraction)

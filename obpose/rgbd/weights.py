@@ -1,5 +1,6 @@
 """Weights as a method to segment a user's frames, and to give masks to a model with fields."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -40,6 +41,10 @@ def method_of(
     model, config, _ = load(find_checkpoint(Path(checkpoint), option=option))
     if objects is not None:
         look_for(model, objects)
+    masks = _masks_alone(model)
+    if isinstance(masks, ContactModel):
+        # The world of the frames has its table at z = 0, wherever that of the training was.
+        masks.config = replace(masks.config, model=replace(masks.config.model, table=0.0))
     return partial(_segment, model), trained_on(config)
 
 

@@ -129,6 +129,7 @@ def train(
             else None
         )
         clips = learner.model.training_source(source)
+        learner.model.check_source(clips)
         val_clips = None
         if val_source is not None and len(val_source) and fabric.is_global_zero:
             val_clips = learner.model.training_source(val_source)

@@ -113,6 +113,13 @@ def test_bias_and_translation_depend_on_the_track(track: str, bias: float, trans
     assert (config.contact.bias, config.model.pose.max_translation) == (bias, translation)
 
 
+@pytest.mark.parametrize("track", ["static", "moving", "mixed", "touching", "noisy"])
+def test_systems_of_the_same_network_have_the_same_bias_on_a_track(track: str):
+    with_poses, alone = (find_system(name) for name in ("obpose-contact", "contact-masks"))
+    bias = with_poses.config("cpu", with_poses.changes_on(track)).contact.bias
+    assert alone.config("cpu", alone.changes_on(track)).model.bias == bias
+
+
 @pytest.mark.parametrize("track", [track.name for track in all_tracks() if track.name != "mixed"])
 @pytest.mark.parametrize("name", ["obpose", "obpose-loc", "obpose-contact"])
 def test_boxes_are_longer_than_the_objects_of_a_track(name: str, track: str):

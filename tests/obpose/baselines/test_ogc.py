@@ -99,3 +99,18 @@ def test_a_step_learns_and_masks_cover_what_stands_on_the_table():
     assert torch.equal(found.attention > 0, standing)
     assert torch.equal(found.labels > 0, standing)
     assert found.attention.max() <= model.config.model.slots
+
+
+def test_pixels_without_depth_have_no_label_even_if_cleaning_fills_them(monkeypatch: pytest.MonkeyPatch):
+    scene = table_scene(frames=2, holes=0.2)
+    assert not scene.valid.all()
+    model = Ogc(override(OgcConfig(), {"model.clean_depth": True}))
+    assert model._cleaned(scene).valid.sum() > scene.valid.sum()
+    followed = []
+    follow = "obpose.baselines.ogc.follow_objects"
+    monkeypatch.setattr(follow, lambda clouds, objects, gap: followed.extend(clouds) or objects)
+    found = model.segment(scene)
+    assert all(np.all((cloud.points[:, 2] > 0) & (cloud.points[:, 2] < 0.15)) for cloud in followed)
+    assert (found.labels > 0).any()
+    assert not found.labels[~scene.valid].any()
+    assert not found.attention[~scene.valid].any()

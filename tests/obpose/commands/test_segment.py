@@ -10,6 +10,9 @@ from PIL import Image
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, UsageError
 from datagen.geometry import look_at, pixel_rays
 from obpose.commands.segment import Arguments, _prepared, _unlike_training, main
+from obpose.config import override
+from obpose.contact.config import ContactConfig
+from obpose.contact.model import ContactModel
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
 from obpose.model.build import build_obpose
@@ -18,6 +21,7 @@ from obpose.rgbd.world import World
 from obpose.storage.checkpoint import load, save_model
 from obpose.systems import find_system
 from obpose.types import Observation
+from tests.worlds.observations import table_scene
 from tests.worlds.sphere_clips import clip_and_truth
 
 WIDTH, HEIGHT, FRAMES = 32, 24, 2
@@ -236,6 +240,14 @@ def test_weights_of_obpose_look_for_as_many_objects_as_wanted(scene: Path):
     assert load(scene / "model")[0].attention.slots == 2
     method, _ = method_of(scene / "model", 5)
     assert method.args[0].attention.slots == 5
+
+
+def test_weights_of_another_table_see_heights_above_that_of_the_frames(tmp_path: Path):
+    config = override(ContactConfig(), {"model.table": 0.5})
+    save_model(tmp_path, ContactModel(config).state_dict(), config, {})
+    method, _ = method_of(tmp_path)
+    images = method.args[0].images(table_scene(frames=1))
+    assert images.points[:, 2][images.valid].median() == pytest.approx(0, abs=1e-3)
 
 
 def test_a_full_number_of_objects_is_reported(scene: Path, tmp_path: Path, capsys):

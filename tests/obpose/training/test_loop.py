@@ -58,6 +58,20 @@ def interrupted_at(step: int):
     return report
 
 
+class Choosy(ToyModel):
+    """Toy model that cannot learn from five clips."""
+
+    def check_source(self, source):
+        if len(source) == 5:
+            raise UsageError("five clips")
+
+
+def test_only_the_clips_of_training_are_checked():
+    assert run(source=ToyClips(4), val_source=ToyClips(5), build=Choosy).steps == 6
+    with pytest.raises(UsageError, match="five clips"):
+        run(source=ToyClips(5), build=Choosy)
+
+
 def test_the_seed_decides_everything():
     torch.manual_seed(1)
     one = run()
