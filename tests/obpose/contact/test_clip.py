@@ -114,19 +114,37 @@ def test_distant_objects_are_apart_whatever_the_bias(bias: float):
 @pytest.mark.parametrize("count", [1, 3])
 def test_specks_are_background_in_noisy_images(count: int):
     mask = np.zeros((20, 20), bool)
-    mask[5:12, 5:12] = mask[18, 18] = True
+    mask[5:12, 5:12] = mask[18, 16:18] = True
     points = np.stack([*np.mgrid[:20, :20] * 0.01, np.full((20, 20), 0.03)], axis=-1)
-    points[18, 18] += 1.0
-    image = LabelledImage(mask, points, np.zeros((20, 20, 3)), np.zeros(50, np.int64))
+    points[18] += 1.0
+    image = LabelledImage(mask, points, np.zeros((20, 20, 3)), np.zeros(51, np.int64))
     for noise, label in ((0.0, 1), (0.002, 0)):
         found = segment_clip([image] * count, bias=0.0, gap=0.03, noise=noise)
-        assert (found[:, 18, 18] == label).all()
+        assert (found[:, 18, 16:18] == label).all()
         assert (found[:, 5:12, 5:12] == 1).all()
+
+
+@pytest.mark.parametrize(("count", "label"), [(2, 1), (3, 0)])
+def test_distant_points_of_an_object_are_specks_unless_it_has_only_two(count: int, label: int):
+    points = np.arange(3.0 * count).reshape(1, count, 3)
+    image = LabelledImage(np.ones((1, count), bool), points, 0 * points, np.zeros(count, np.int64))
+    assert (segment_clip([image], bias=0.0, gap=0.03, noise=0.002) == label).all()
+
+
+def test_objects_that_swap_their_places_are_followed_by_their_colours():
+    mask, labels = np.ones((6, 12), bool), np.tile(np.repeat([0, 1], 6), 6)
+    points = np.stack([*np.mgrid[:6, :12] * 0.01, np.zeros((6, 12))], axis=-1)
+    points[:, 6:, 1] += 0.06
+    rgb = np.where(labels.reshape(6, 12, 1) == 0, [1.0, 0, 0], [0, 0, 1.0])
+    images = [LabelledImage(mask, points, each, labels) for each in (rgb, rgb[:, ::-1])]
+    found = segment_clip(images, bias=0.0, gap=0.03)
+    assert np.array_equal(found[1], found[0][:, ::-1])
+    assert found.max() == 2
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_the_smallest_of_too_many_objects_are_background(count: int):
-    labels = np.append(np.arange(400), 0)  # the first object has two pixels
+    labels = np.append(np.arange(400), 399)  # the last object has two pixels
     image = LabelledImage(
         np.ones((1, 401), bool),
         np.stack([np.arange(401.0), *np.zeros((2, 401))], -1)[None],
@@ -135,7 +153,8 @@ def test_the_smallest_of_too_many_objects_are_background(count: int):
     )
     found = segment_clip([image] * count, bias=-CAUTION, gap=0.03)
     assert set(np.unique(found)) == set(range(MOST_OBJECTS + 1))
-    assert (found[:, 0, [0, -1]] == 1).all()
+    assert (found[:, 0, 0] == 1).all()
+    assert (found[:, 0, -2:] == MOST_OBJECTS).all()
 
 
 @pytest.mark.parametrize(("views", "objects"), [(2, 1), (1, 2)])

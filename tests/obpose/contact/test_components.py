@@ -1,7 +1,18 @@
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
-from obpose.contact.components import BELOW, FLOATING, image_components, join_floating, numbered, shifted
+from obpose.contact.components import (
+    BELOW,
+    FLOATING,
+    NEIGHBOURS,
+    image_components,
+    join_floating,
+    numbered,
+    offsets,
+    shifted,
+)
 
 GAP = 0.02
 
@@ -41,16 +52,31 @@ def test_labels_are_numbered_by_their_first_pixels():
     assert numbered(np.array([[9, 2]])).tolist() == [[1, 2]]
 
 
-def test_components_that_float_belong_to_what_is_below_them():
-    """A lamp's shade and foot (1, 3), with an invisible stem; a cup (2) beside it and a ball (4) in the air."""
-    table = 0.5
-    labels = np.array([[0, 1, 0, 2, 0, 3, 0, 4]])
-    places = [(0, 0, 0), (0, 0, FLOATING), (0, 0, 0), (2 * BELOW, 0, 0.001), (0, 0, 0), (0.9 * BELOW, 0, 0.001)]
-    points = np.array([[*places, (0, 0, 0), (1, 0, 0.2)]]) + np.array([0, 0, table])
-    points[0, 1, 2] += 1e-3
-    assert join_floating(labels, points, table=table).tolist() == [[0, 1, 0, 2, 0, 1, 0, 3]]
-    points[0, 1, 2] -= 2e-3  # no longer high enough
-    assert np.array_equal(join_floating(labels, points, table=table), labels)
+def joined(*components: Sequence[tuple[float, float]], table: float = 0.5) -> list[int]:
+    """Component that each one becomes, of components with points at these distances to the right and above a table."""
+    names = np.concatenate([[0], *(np.full(len(places), name) for name, places in enumerate(components, 1))])
+    right, up = np.array([(0, 0), *(place for places in components for place in places)]).T
+    found = join_floating(names[None], np.stack([right, 0 * right, table + up], axis=-1)[None], table=table)[0]
+    assert found[0] == 0
+    pairs = {(int(name), int(other)) for name, other in zip(names[1:], found[1:], strict=True)}
+    assert len(pairs) == len(components)
+    return [other for _, other in sorted(pairs)]
+
+
+def test_components_that_float_belong_to_all_that_is_below_them():
+    """The shade of a lamp, a foot and a piece of the stem; a cup beside it, an arm over it and a ball in the air."""
+    shade, foot, stem = [(0, 0.1), (0, 0.15)], [(0.9 * BELOW, 0.001)], [(-0.9 * BELOW, FLOATING + 0.02)]
+    cup, arm, ball = [(1.1 * BELOW, 0.001)], [(0, 0.3), (2, 0.001)], [(1, 0.2)]
+    assert joined(shade, cup, foot, arm, stem, ball) == [1, 2, 1, 3, 1, 4]
+
+
+@pytest.mark.parametrize(("lowest", "floats"), [(FLOATING - 1e-3, False), (FLOATING + 1e-3, True)])
+def test_components_float_if_their_lowest_point_does(lowest: float, floats: bool):
+    assert joined([(0, lowest), (0, 0.2), (0, 0.3)], [(0, 0.001)]) == ([1, 1] if floats else [1, 2])
+
+
+def test_direct_neighbours_are_partners_in_larger_images_too():
+    assert set(NEIGHBOURS) <= set(offsets(2))
 
 
 @pytest.mark.parametrize("offset", [(0, 1), (2, 3), (2, -3), (0, -1), (9, 0)])

@@ -1,5 +1,7 @@
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from contextlib import nullcontext
+from dataclasses import fields, replace
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -23,6 +25,8 @@ from tests.worlds.sphere_clips import balls
 RADIUS = 0.045
 SETTINGS = {"table": 0.0, "floor": 0.0015, "gap": 0.06, "clean": False}
 SCENE = {**SETTINGS, "still": True}
+BORDER = ((0, 30), (63, 30), (30, 0), (30, 63))
+"""A pixel at each border of an image."""
 
 
 def source(*scenes: Sequence[tuple[float, float]], **options: tuple[float, float, float]) -> ArrayClips:
@@ -62,6 +66,51 @@ def test_pseudo_objects_are_found_again_when_their_memory_is_used_up(clips: Arra
         kept.append(len(read) - sum(kept))
     assert kept[0] == len(clips) < kept[1]
     assert all(torch.equal(a["rgb"], b["rgb"]) for a, b in zip(*images, strict=True))
+
+
+def test_every_view_has_its_own_image_and_camera():
+    path = np.array([[[0.1, 0.0, RADIUS]], [[0.1, 0.1, RADIUS]]])
+    views = [ArrayClips([balls(path, eye=eye)[0]]).window(0, 0, 2) for eye in ((0.01, 0.0, 1.0), (0.7, 0.0, 0.6))]
+    views[1]["k"] = 0.9 * views[1]["k"]
+    both = {
+        name: torch.cat([view[name] for view in views], dim=0 if name in ("k", "world_from_camera") else 1)
+        for name in views[0]
+    }
+    alone = zip(*(pseudo_scenes(view, **SCENE) for view in views), strict=True)
+    for found, expected in zip(pseudo_scenes(both, **SCENE), chain(*alone), strict=True):
+        for field in fields(PseudoScene):
+            np.testing.assert_array_equal(getattr(found, field.name), getattr(expected, field.name))
+    clips = PastedClips(source([(0.0, 0.0)]), **SETTINGS, seed=0)
+    labels = np.concatenate([clips.pseudo_labels(view) for view in views], axis=1)
+    np.testing.assert_array_equal(clips.pseudo_labels(both), labels)
+    assert not np.array_equal(labels[:, 0], labels[:, 1])
+
+
+@pytest.mark.parametrize(("size", "least"), [(64, 6), (128, 24)])
+def test_pseudo_objects_have_enough_pixels_for_the_size_of_the_image(size: int, least: int):
+    window = ArrayClips([balls(np.zeros((1, 0, 3)), size)[0]]).window(0, 0, 1)
+    counts = []
+    for last in (20 + least - 1, 20 + least):
+        depth = window["depth"].clone()
+        depth[..., 30, 20:last] -= 0.02
+        counts.append(next(pseudo_scenes({**window, "depth": depth}, **SCENE)).count)
+    assert counts == [0, 1]
+
+
+def test_components_beyond_the_255th_are_no_pseudo_objects(clips: ArrayClips, monkeypatch: pytest.MonkeyPatch):
+    labels = np.zeros((64, 64), np.int64)
+    labels[:5] = np.arange(1, 321).reshape(5, 64)
+    monkeypatch.setattr("obpose.contact.pasting.image_components", lambda *args, **settings: labels)
+    found = next(pseudo_scenes(clips.window(0, 0, 1), **{**SCENE, "still": False})).labels
+    np.testing.assert_array_equal(found, np.where(labels > 255, 0, labels))
+
+
+def test_objects_beyond_the_255th_of_a_clip_share_a_label(clips: ArrayClips, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(
+        "obpose.contact.pasting.track", lambda clouds, *rest: [np.full(len(cloud.points), 300) for cloud in clouds]
+    )
+    found = PastedClips(clips, **SETTINGS, seed=0).pseudo_labels(clips.window(0, 0, 1))
+    assert np.unique(found).tolist() == [0, 255]
 
 
 def test_objects_are_added_to_those_that_are_there(clips: ArrayClips):
@@ -141,6 +190,36 @@ def test_half_of_the_objects_are_mirrored():
     assert 30 < sum(mirrored) < 70
 
 
+@pytest.mark.parametrize("pixel", BORDER)
+def test_objects_at_a_border_of_the_image_are_not_cut_out(pixel: tuple[int, int]):
+    assert cut_out(drawn(pixel), np.random.default_rng(0)) is None
+
+
+@pytest.mark.parametrize("corner", [slice(2, 6), slice(58, 62)], ids=["top left", "bottom right"])
+def test_objects_are_not_pasted_at_a_border_of_the_image(corner: slice):
+    other = drawn((slice(30, 34), slice(30, 34)))
+    for _, found in pastings(drawn((corner, corner)), other):
+        assert not (found.labels[[0, -1]] == 2).any()
+        assert not (found.labels[:, [0, -1]] == 2).any()
+
+
+def test_objects_are_not_pasted_above_the_horizon():
+    """Objects above and below the horizon of a camera that looks straight ahead."""
+    level = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]], np.float32)
+    found = []
+    for row in (18, 42):
+        scene = replace(drawn((slice(row, row + 4), slice(30, 34))), world_from_camera=level)
+        near = replace(scene, depth=np.full_like(scene.depth, 0.7))
+        found.append(next(pastings(scene, near), None) is not None)
+    assert found == [False, True]
+
+
+def test_objects_are_pasted_over_pixels_without_depth():
+    scene = seen_at_an_angle()
+    cutout, found = next(pastings(replace(scene, depth=0 * scene.depth), scene))
+    assert np.count_nonzero(found.labels == 2) == np.count_nonzero(found.depth) == len(cutout.rows)
+
+
 def test_the_background_does_not_tint_the_border_of_objects():
     scene = drawn((slice(20, 29), slice(20, 29)))
     scene.rgb[21:28, 21:28] = 0.5
@@ -202,8 +281,7 @@ def test_the_image_with_the_most_objects_is_used():
     together = np.array([[[-0.04, 0, RADIUS], [0.04, 0, RADIUS]]])
     clips = ArrayClips([balls(np.concatenate([together, apart, together]))[0]])
     assert [scene.count for scene in pseudo_scenes(clips.window(0, 0, 3), **SCENE)] == [1, 2, 1]
-    image = PastedClips(clips, **SETTINGS, seed=0).window(0, 0, 1)
-    assert int(image["pseudo_labels"].max()) >= 2
+    assert PastedClips(clips, **SETTINGS, seed=0)._scene(0).count == 2
 
 
 def test_narrow_holes_do_not_divide_objects_and_belong_to_them_only_if_cleaned():
@@ -227,9 +305,19 @@ def test_narrow_holes_do_not_divide_objects_and_belong_to_them_only_if_cleaned()
             for values in (scene.labels, scene.depth):
                 assert values[tuple(hole)][ball].any() == expected
         assert filled.labels[tuple(hole)][ball].all() == (width == 2)
-        of_clip = PastedClips(clips, **SETTINGS, seed=0).pseudo_labels(holed)
-        assert of_clip[0, 0].max() == count
-        assert not of_clip[0, 0][tuple(hole)].any()
+        for clean in (False, True):
+            of_clip = PastedClips(clips, **{**SETTINGS, "clean": clean}, seed=0).pseudo_labels(holed)
+            assert of_clip[0, 0].max() == count
+            assert not of_clip[0, 0][tuple(hole)].any()
+
+
+def test_pixels_without_depth_connect_no_objects():
+    """They lie nowhere, not in the origin of the world, which is above this table."""
+    window = source([(-0.1, 0.0), (0.1, 0.0)]).window(0, 0, 1)
+    objects = torch.from_numpy(next(pseudo_scenes(window, **SCENE)).labels > 0)
+    holed = {**window, "valid": window["valid"] & objects, "depth": window["depth"] * objects}
+    holed["world_from_camera"][:, 2, 3] -= 0.4
+    assert next(pseudo_scenes(holed, **{**SCENE, "table": -0.4, "gap": 1.0})).count == 2
 
 
 def test_objects_stand_on_the_table_at_any_height():
@@ -257,9 +345,11 @@ def test_pseudo_objects_that_lie_in_a_hole_are_left_out(clips: ArrayClips, monke
 @pytest.mark.parametrize(("frames", "count"), [(1, 1), (2, 2)], ids=["a still", "a clip"])
 def test_a_ball_above_another_belongs_to_it_only_in_stills(frames: int, count: int):
     places = np.repeat([[(0.0, 0.0, RADIUS), (0.0, 0.0, 0.3)]], frames, axis=0)
-    clips = PastedClips(ArrayClips([balls(places, eye=(0.7, 0.0, 0.3))[0]] * 2), **SETTINGS, seed=0)
-    labels = clips.pseudo_labels(ArrayClips([balls(places, eye=(0.7, 0.0, 0.3))[0]]).window(0, 0, frames))
-    assert labels.max() == count
+    clip = balls(places, eye=(0.7, 0.0, 0.3))[0]
+    clip.world_from_camera[:, 2, 3] -= 0.4
+    clips = ArrayClips([clip])
+    found = PastedClips(clips, **{**SETTINGS, "table": -0.4}, seed=0).pseudo_labels(clips.window(0, 0, frames))
+    assert found.max() == count
 
 
 @pytest.mark.parametrize("clean", [False, True])
@@ -277,6 +367,28 @@ def test_noise_is_smoothed_only_in_cleaned_images(clean: bool):
 def test_clips_that_show_no_whole_object_are_refused(balls: list[tuple[float, float]], table: float):
     with pytest.raises(UsageError, match=r"--set model\.table"):
         PastedClips(source(balls, balls), **{**SETTINGS, "table": table}, seed=0)
+
+
+@pytest.mark.parametrize("pixel", BORDER)
+def test_objects_at_a_border_of_the_image_are_not_whole(pixel: tuple[int, int], monkeypatch: pytest.MonkeyPatch):
+    labels = np.zeros((64, 64), np.int64)
+    labels[pixel] = 1
+    monkeypatch.setattr("obpose.contact.pasting.image_components", lambda *args, **settings: labels)
+    with pytest.raises(UsageError, match="wholly show no object"):
+        PastedClips(source([]), **SETTINGS, seed=0)
+
+
+@pytest.mark.parametrize("checked", [1, 2])
+def test_one_of_the_first_clips_must_show_an_object(checked: int, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("obpose.contact.pasting.CHECKED", checked)
+    with nullcontext() if checked == 2 else pytest.raises(UsageError, match="wholly show no object"):
+        PastedClips(source([], [(0.0, 0.0)]), **SETTINGS, seed=0)
+
+
+def test_clips_without_objects_neither_get_nor_give_any():
+    images = pasted(source([], [(0.0, 0.0)]), 10)
+    assert not any(image["pseudo_labels"].any() for image in images[::2])
+    assert all(image["pseudo_labels"].any() for image in images[1::2])
 
 
 def test_only_single_frames_are_given(clips: ArrayClips):

@@ -70,6 +70,11 @@ def test_small_pieces_and_background_join_the_nearest_larger_piece():
     np.testing.assert_array_equal(divided(mine, labels("222030440"), least=3), labels("111111111"))
 
 
+def test_objects_of_which_all_pieces_are_small_stay_whole():
+    mine = labels("1112222").astype(np.uint8)
+    np.testing.assert_array_equal(divided(mine, labels("2304444"), least=3), mine)
+
+
 @pytest.mark.parametrize("count", [255, 256])
 def test_objects_stay_as_they_are_if_there_would_be_too_many(count: int):
     mine = np.repeat(np.arange(1, 129), 2)[None, :count].astype(np.uint8)
