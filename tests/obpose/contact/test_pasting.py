@@ -366,7 +366,7 @@ def test_noise_is_smoothed_only_in_cleaned_images(clean: bool):
 )
 def test_clips_that_show_no_whole_object_are_refused(balls: list[tuple[float, float]], table: float):
     with pytest.raises(UsageError, match=r"--set model\.table"):
-        PastedClips(source(balls, balls), **{**SETTINGS, "table": table}, seed=0)
+        PastedClips(source(balls, balls), **{**SETTINGS, "table": table}, seed=0).check()
 
 
 @pytest.mark.parametrize("pixel", BORDER)
@@ -374,15 +374,15 @@ def test_objects_at_a_border_of_the_image_are_not_whole(pixel: tuple[int, int], 
     labels = np.zeros((64, 64), np.int64)
     labels[pixel] = 1
     monkeypatch.setattr("obpose.contact.pasting.image_components", lambda *args, **settings: labels)
-    with pytest.raises(UsageError, match="wholly show no object"):
-        PastedClips(source([]), **SETTINGS, seed=0)
+    with pytest.raises(UsageError, match="show no whole object"):
+        PastedClips(source([]), **SETTINGS, seed=0).check()
 
 
 @pytest.mark.parametrize("checked", [1, 2])
-def test_one_of_the_first_clips_must_show_an_object(checked: int, monkeypatch: pytest.MonkeyPatch):
+def test_one_of_some_clips_spread_evenly_must_show_an_object(checked: int, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("obpose.contact.pasting.CHECKED", checked)
-    with nullcontext() if checked == 2 else pytest.raises(UsageError, match="wholly show no object"):
-        PastedClips(source([], [(0.0, 0.0)]), **SETTINGS, seed=0)
+    with nullcontext() if checked == 2 else pytest.raises(UsageError, match="show no whole object"):
+        PastedClips(source([], [], [(0.0, 0.0)]), **SETTINGS, seed=0).check()
 
 
 def test_clips_without_objects_neither_get_nor_give_any():
