@@ -156,7 +156,7 @@ class PastedClips:
         self._labels: dict[int, UInt8[np.ndarray, "height width"]] = {}
 
     def check(self) -> None:
-        """Check that clips show pseudo-objects that can be pasted: some of `CHECKED` that are spread evenly.
+        """Check that at least one of `CHECKED` clips, spread evenly, shows a pseudo-object that can be pasted.
 
         Raises:
             UsageError: none shows an object above the table that lies within an image.

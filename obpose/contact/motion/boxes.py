@@ -147,10 +147,14 @@ def aligned(cloud: Cloud, surface: Surface, motion: Motion) -> tuple[Motion, flo
 def border_points(
     points: Float[np.ndarray, "view height width 3"], own: Bool[np.ndarray, "view height width"]
 ) -> Points:
-    """Where an object ends: on average half a pixel beyond its outermost pixels.
+    """Points half a pixel beyond the border of an object, which is where it ends on average; world frame, metres.
 
-    These points continue the surface horizontally by half of the step between the last two pixels of the object. Its
-    height is known better, from the upper side and the table.
+    They continue the surface horizontally, by half of the step between the last two pixels of the object. Upwards they
+    do not, because its height is known from its upper side and the table.
+
+    Args:
+        points: Surface points of an image, world frame, metres.
+        own: Pixels of the object. At the border of the image, an object has no border.
     """
     found = []
     for axis, flipped in itertools.product((1, 2), (False, True)):
@@ -160,7 +164,7 @@ def border_points(
         last = mine[:-2] & mine[1:-1] & ~mine[2:]
         step = (place[1:-1] - place[:-2])[last] * (1, 1, 0)
         length = np.linalg.norm(step, axis=-1, keepdims=True)
-        step *= np.minimum(1.0, LONGEST_STEP / np.maximum(length, LONGEST_STEP))
+        step *= LONGEST_STEP / np.maximum(length, LONGEST_STEP)
         found.append(place[1:-1][last] + step / 2)
     return np.concatenate(found)
 
