@@ -45,7 +45,7 @@ def leaderboard(group: Sequence[ModelResult], numbers: Mapping[str, int]) -> dic
 
 def legend(group: Sequence[ModelResult], ranks: Iterable[str]) -> Iterator[str]:
     """Explain what occurs in the leaderboard: shared ranks, letters, marks, suffixes, failed seeds, and caveats."""
-    yield f"{RANK.note} Each block is ranked by itself; leaderboard.csv ranks all models of a track together."
+    yield f"{RANK.note} Each block is ranked by itself; leaderboard.csv ranks all blocks together."
     if any("." in rank for rank in ranks):
         yield FRACTIONAL_RANKS
     if any(letters for result in group for letters in result.group_letters):
