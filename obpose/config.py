@@ -211,7 +211,7 @@ class TrainConfig:
     """Share of the rays drawn where objects are expected, less than 1; weights correct for it. Objects are expected by
     the pre-scope, or without one outside of the largest component. [ours]"""
     learning_rate: float = 1e-3
-    """Initial learning rate of Adam. [paper: 4e-4]"""
+    """Learning rate of Adam at first, or once it has risen. [paper: 4e-4]"""
     decay: Literal["cosine", "halving", "none"] = "cosine"
     """Learning rate schedule. `cosine`: to zero at the end of the budget; `halving`: exponential, to a half at its end.
     [paper: none]"""

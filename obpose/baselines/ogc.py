@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from einops import rearrange
 from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
@@ -20,13 +19,13 @@ from torch import Tensor
 
 from obpose.contact.components import image_components
 from obpose.contact.config import OgcConfig
-from obpose.contact.images import Images, images_of
+from obpose.contact.images import Images
 from obpose.contact.model import ContactModel
 from obpose.contact.motion.key_frames import follow_objects
 from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, Followed, register
 from obpose.data.clips import ClipSource
 from obpose.errors import UsageError
-from obpose.geometry import full_precision, unproject
+from obpose.geometry import full_precision
 from obpose.model.attention.given import Labels
 from obpose.types import Observation, Segmentation
 
@@ -111,14 +110,11 @@ class Ogc(ContactModel):
     @torch.no_grad()
     def segment(self, observation: Observation) -> Segmentation:
         """Label objects over whole clips; `attention` holds the largest masks of single images."""
-        valid, observation = observation.valid, self._cleaned(observation)
-        images = images_of(observation, center=self.center, table=self.config.model.table)
+        images, points, colours = self.arranged(observation)
         standing = self.standing(images).cpu().numpy()
         single = (self.masks(images).argmax(dim=1).cpu().numpy() + 1) * standing
-        points = rearrange(unproject(observation).cpu().numpy(), "b f v h w c -> (b f v) h w c")
-        colours = COLOUR_SCALE * rearrange(images.rgb.cpu().numpy(), "i c h w -> i h w c")
         # Foreground points and objects of each image.
-        clouds = [Cloud(p[seen], c[seen]) for p, c, seen in zip(points, colours, standing, strict=True)]
+        clouds = [Cloud(p[seen], COLOUR_SCALE * c[seen]) for p, c, seen in zip(points, colours, standing, strict=True)]
         objects = [found[seen] - 1 for found, seen in zip(single, standing, strict=True)]
         # Follow the objects through each clip.
         over_time, count = np.zeros_like(single), len(single) // len(observation.depth)
@@ -126,7 +122,7 @@ class Ogc(ContactModel):
             clip = slice(first, first + count)
             for image, found in enumerate(follow_objects(clouds[clip], objects[clip], gap=self.config.model.gap)):
                 over_time[first + image][standing[first + image]] = found + 1
-        shape = observation.depth.shape
+        shape, valid = observation.depth.shape, observation.valid
         return Segmentation(
             labels=torch.from_numpy(over_time).view(shape).to(valid.device) * valid,
             attention=torch.from_numpy(single).view(shape).to(valid.device) * valid,

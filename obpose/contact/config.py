@@ -12,6 +12,8 @@ FLOOR_NOISE = 4.0
 """Height above the table from which points belong to objects, for noisy depth, in standard deviations of the noise."""
 SMOOTHED = 3.0
 """Factor by which cleaning reduces the noise of planes (`obpose.data.clean_depth.smooth_depth`)."""
+TABLES = 0.0015
+"""Largest difference in metres of the two heights of the table in a configuration of `obpose-contact`."""
 RISE = 0.1
 """Share of the budget over which the learning rate rises. Without it, the network finds fewer borders to the end."""
 
@@ -36,9 +38,9 @@ class ContactModelConfig:
     bias: float = 0.5
     """Value added to the logits of affinities before pixels are grouped: larger values divide less."""
     division_gap: float | None = None
-    """Parts of the foreground farther apart than this, metres, are divided whatever the network says, except for specks
-    that join a neighbour; None: never. It makes frames of unfamiliar cameras safer, and divides what an object in front
-    hides in the middle."""
+    """Connected components of the foreground are divided whatever the network says, except for specks that join a
+    neighbour. Neighbouring pixels are connected if they are at most this far apart, metres; None: not divided. It makes
+    frames of unfamiliar cameras safer, and divides what an object in front hides in the middle."""
     workspace_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Middle of the observed points, world frame, metres; measured before training."""
     spacing: float = 0.01
@@ -139,4 +141,7 @@ def check_contact_obpose_bounds(config: ContactObPoseConfig) -> None:
     kind, background = model.attention.kind, model.background
     expect(kind == "given", "model.attention.kind", kind, "given, as the masks are those of the contact model")
     expect(background == "component", "model.background", background, "component, as masks have a background")
-    expect(views != "separate", "train.views", views, "random or all, as for other variants of ObPose")
+    expect(views == "random", "train.views", views, "random, as pseudo-objects of several views have no common labels")
+    table, top = config.contact.table, model.table_top
+    agree = model.table is None or abs(table - top) < TABLES
+    expect(agree, "contact.table", table, f"the table's height, {top:g} by model.table, to {1000 * TABLES:g} mm")

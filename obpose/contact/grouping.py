@@ -76,4 +76,4 @@ def _join_small(
         return segments
     joined = segments.copy()
     joined[~large] = segments[large][KDTree(vectors[large]).query(vectors[~large])[1]]
-    return np.unique(joined, return_inverse=True)[1].reshape(-1)
+    return np.unique(joined, return_inverse=True)[1]

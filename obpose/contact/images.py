@@ -135,6 +135,6 @@ def cropped(images: Images, size: int, generator: torch.Generator | None) -> Ima
         high = torch.where(empty, length - edge, first.clamp(0, length - edge))
         low, high = torch.minimum(low, high), torch.maximum(low, high)
         draw = torch.rand(len(low), generator=generator, device=low.device)
-        start = low + (draw * (high - low + 1)).long().clamp(max=length - 1)
+        start = low + (draw * (high - low + 1)).long()
         places.append(torch.minimum(start, high)[:, None] + torch.arange(edge, device=low.device))
     return images.window(*places)

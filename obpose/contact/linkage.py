@@ -49,7 +49,7 @@ def average_linkage(
             heapq.heappush(queue, (-joined[0] / joined[1], min(one, third), max(one, third)))
         between[other] = {}
     roots = np.array([_root(parent, node) for node in range(count)], np.int64)
-    return np.unique(roots, return_inverse=True)[1].reshape(-1)
+    return np.unique(roots, return_inverse=True)[1]
 
 
 def _root(parent: list[int], node: int) -> int:

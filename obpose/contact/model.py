@@ -138,6 +138,15 @@ class ContactModel(Trainable):
         """Clean the depth of an observation if so set, and arrange its images."""
         return images_of(self._cleaned(observation), center=self.center, table=self.config.model.table)
 
+    def arranged(
+        self, observation: Observation
+    ) -> tuple[Images, Float[np.ndarray, "image height width 3"], Float[np.ndarray, "image height width 3"]]:
+        """Give the images of `images`, and arrays of their world points, metres, and colours in 0..1."""
+        observation = self._cleaned(observation)
+        images = images_of(observation, center=self.center, table=self.config.model.table)
+        points = rearrange(unproject(observation).cpu().numpy(), "b f v h w c -> (b f v) h w c")
+        return images, points, rearrange(images.rgb.cpu().numpy(), "i c h w -> i h w c")
+
     def _cleaned(self, observation: Observation) -> Observation:
         # Pasted images are clean already.
         clean = self.config.model.clean_depth and not isinstance(observation, PastedObservation)
@@ -200,13 +209,11 @@ class ContactModel(Trainable):
     @torch.no_grad()
     def clip_images(self, observation: Observation) -> list[ClipImage]:
         """Clean the depth, run the network, and prepare its outputs for inference: batch, then frame, then view."""
-        observation, scale = self._cleaned(observation), self.config.model.image_scale
-        images = images_of(observation, center=self.center, table=self.config.model.table)
+        images, points, colours = self.arranged(observation)
         outputs = self.outputs(images)
         masks = self._foreground(outputs.foreground, images).cpu().numpy()
         embeddings = rearrange(outputs.embedding.cpu().numpy(), "i c h w -> i h w c")
-        points = rearrange(unproject(observation).cpu().numpy(), "b f v h w c -> (b f v) h w c")
-        colours = rearrange(images.rgb.cpu().numpy(), "i c h w -> i h w c")
+        scale = self.config.model.image_scale
         pairs = [
             foreground_pairs(mask, affinities, scale=scale, components=parts)
             for mask, affinities, parts in zip(
@@ -234,7 +241,7 @@ class ContactModel(Trainable):
     def _parts(
         self, points: Float[np.ndarray, "image height width 3"], masks: Bool[np.ndarray, "image height width"]
     ) -> list[np.ndarray] | list[None]:
-        """Parts of the foreground of each image that are too far apart to share an object."""
+        """Connected components of the foreground of each image, which share no object, if so configured."""
         if (gap := self.config.model.division_gap) is None:
             return [None] * len(masks)
         return [image_components(*each, gap=gap, least=1) for each in zip(points, masks, strict=True)]

@@ -40,7 +40,7 @@ LARGEST_LABEL = 255
 CHECKED = 32
 """Number of clips, one of which must show pseudo-objects."""
 KEPT_BYTES = 2**30
-"""Memory for the pseudo-objects of clips that were used; the oldest are found again when they are needed."""
+"""Memory of a process for the pseudo-objects of clips that were used; the oldest are found again when needed."""
 IMAGES_PER_FRAME = 3.2
 """Number of pasted images, 64 pixels wide, for each frame of a window of `ClipsWithPasted`."""
 APART = 0.2
@@ -167,7 +167,7 @@ class PastedClips:
             raise UsageError(
                 f"The training clips show no whole object more than {floor * 1000:g} mm above z = {table:g} m; "
                 "expected objects on a table. If the table is elsewhere, give its exact height: --set model.table=..., "
-                "and for obpose-contact --set contact.table=... too."
+                "or for obpose-contact --set contact.table=... and --set model.table=..., 1 mm higher."
             )
 
     def __len__(self) -> int:

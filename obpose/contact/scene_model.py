@@ -116,6 +116,7 @@ class ContactObPose(ObPose):
             return super()._observed_pose(views, masks)
         center = self._observed_center(views, masks)
         owners = self.pixel_owners(masks, views.embeddings, views.observation)
+        # Nothing below `model.table`, a millimetre above the table, belongs to an object; boxes end there, too.
         table = self.config.model.table or 0.0
         middle, rotation, found = standing_boxes(views.points, owners, slots=center.shape[2], table=table)
         boxes = torch.where(found[..., None], middle, center), rotation

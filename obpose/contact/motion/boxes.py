@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from obpose.contact.motion.rigidity import REST, Motion, register
-from obpose.contact.motion.tracking import COLOUR_SCALE, LEAST_OUTLIER, OUTLIER_FACTOR, Cloud, Points, median
+from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, Points, joined, median, outlier_limit
 from obpose.model.pose.minimum_volume import orient
 from obpose.model.pose.orientation import STANDING
 from obpose.model.pose.rotations import equivalents
@@ -133,7 +133,7 @@ def aligned(cloud: Cloud, surface: Surface, motion: Motion) -> tuple[Motion, flo
     for _ in range(ROUNDS):
         moved = motion.moved(cloud)
         distances, nearest = map(np.asarray, tree.query(moved.features))
-        near = distances <= min(max(OUTLIER_FACTOR * median(distances), LEAST_OUTLIER), FARTHEST)
+        near = distances <= min(outlier_limit(distances), FARTHEST)
         if np.count_nonzero(near) < LEAST_POINTS:
             return motion, np.inf
         pairs = moved.points[near], surface.cloud.points[nearest[near]]
@@ -210,7 +210,7 @@ def _step(source: Points, target: Points, normals: Points) -> Motion:
 
 def _normals(points: Points) -> Points:
     """Directions of least extent of the nearest points."""
-    neighbours = points[KDTree(points).query(points, k=min(NEIGHBOURS, len(points)))[1]]
+    neighbours = points[KDTree(points).query(points, k=NEIGHBOURS)[1]]
     neighbours = neighbours - neighbours.mean(axis=1, keepdims=True)
     return np.linalg.eigh(np.einsum("nki,nkj->nij", neighbours, neighbours))[1][:, :, 0]
 
@@ -220,6 +220,4 @@ def _along(offsets: Points, directions: Points) -> Float[np.ndarray, "_"]:
 
 
 def _union(surfaces: list[Surface]) -> Surface:
-    clouds, normals = zip(*surfaces, strict=True)
-    points, colours = (np.concatenate(values) for values in zip(*clouds, strict=True))
-    return Surface(Cloud(points, colours), np.concatenate(normals))
+    return Surface(joined([each.cloud for each in surfaces]), np.concatenate([each.normals for each in surfaces]))

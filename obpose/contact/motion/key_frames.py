@@ -19,7 +19,7 @@ def evenly_spread(clouds: Sequence[Cloud]) -> list[int]:
     """Choose key frames among the images with points; none if fewer than two have any."""
     seen = [index for index, cloud in enumerate(clouds) if len(cloud.points)]
     places = np.linspace(0, len(seen) - 1, min(KEY_FRAMES, len(seen))).round().astype(int)
-    return [seen[place] for place in np.unique(places)] if len(seen) > 1 else []
+    return [seen[place] for place in places] if len(seen) > 1 else []
 
 
 def follow_objects(clouds: Sequence[Cloud], objects: Labels, *, gap: float) -> Labels:

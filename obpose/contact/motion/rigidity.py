@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 from scipy.spatial import KDTree
 
-from obpose.contact.motion.tracking import LEAST_OUTLIER, OUTLIER_FACTOR, Cloud, Points, kabsch, median
+from obpose.contact.motion.tracking import Cloud, Points, joined, kabsch, outlier_limit
 
 STEPS = (1, 3)
 """Frames between which motion is measured."""
@@ -133,7 +133,7 @@ def _compare(before: dict[int, Cloud], after: dict[int, Cloud]) -> Iterator[tupl
         # The better of two joint registrations.
         excess, motion, joint = np.inf, REST, alone
         for start in (motions[one], motions[other]):
-            tried = register(_union(sources), _union(targets), start, rounds=JOINT_ROUNDS)
+            tried = register(joined(sources), joined(targets), start, rounds=JOINT_ROUNDS)
             residuals = [_residual(source, target, tried) for source, target in zip(sources, targets, strict=True)]
             if (worse := float(max(np.subtract(residuals, alone)))) < excess:
                 excess, motion, joint = worse, tried, residuals
@@ -149,12 +149,8 @@ def _large(labels: Int64[np.ndarray, "_"]) -> list[int]:
     return np.flatnonzero(np.bincount(labels) >= LEAST_POINTS).tolist()
 
 
-def _union(clouds: list[Cloud]) -> Cloud:
-    return Cloud(np.concatenate([each.points for each in clouds]), np.concatenate([each.colours for each in clouds]))
-
-
 def _visible(distances: Float[np.ndarray, "point"]) -> np.ndarray:
-    return distances <= max(OUTLIER_FACTOR * median(distances), LEAST_OUTLIER)
+    return distances <= outlier_limit(distances)
 
 
 def _residual(source: Cloud, target: Cloud, motion: Motion) -> float:

@@ -123,12 +123,14 @@ def register(
         The object of each point, its distance from the nearest object (position and scaled colour, metres), and the
         moved points of the objects.
     """
+    features, distances, nearest = cloud.features, np.full(len(cloud.points), np.inf), np.zeros(0, np.int64)
+    if not objects:
+        return np.full(len(cloud.points), -1), distances, {}
     names = np.array([*objects])
     predicted = {name: seen.cloud.points + seen.velocity for name, seen in objects.items()}
-    features, distances, nearest = cloud.features, np.full(len(cloud.points), np.inf), np.zeros(0, np.int64)
     sizes = [len(seen.cloud.points) for seen in objects.values()]
     owner, start = np.repeat(np.arange(len(names)), sizes), np.cumsum([0, *sizes])
-    for turn in range(ROUNDS if objects else 0):
+    for turn in range(ROUNDS):
         models = [np.hstack([predicted[name], objects[name].cloud.colours]) for name in objects]
         # One tree of all objects: the nearest point belongs to the nearest object.
         distances, places = map(np.asarray, KDTree(np.concatenate(models)).query(features))
@@ -140,19 +142,27 @@ def register(
                 model = Cloud(predicted[name], objects[name].cloud.colours)
                 pairs = correspondences(model, cloud.part(mine), places[mine] - start[number])
                 predicted[name] = move(predicted[name], pairs, turning=turn >= TRANSLATIONS)
-    if not objects:
-        return np.full(len(cloud.points), -1), distances, predicted
     return names[smooth(features, nearest)], distances, predicted
 
 
 def correspondences(model: Cloud, seen: Cloud, nearest: Int64[np.ndarray, "seen"]) -> Pairs:
     """Pairs of points of an object and of what is seen of it, in both directions, without its hidden points."""
     distances, back = KDTree(seen.features).query(model.features)
-    visible = distances < max(OUTLIER_FACTOR * median(distances), LEAST_OUTLIER)
+    visible = distances < outlier_limit(distances)
     return (
         np.concatenate([model.points[nearest], model.points[visible]]),
         np.concatenate([seen.points, seen.points[np.asarray(back)[visible]]]),
     )
+
+
+def outlier_limit(distances: Float[np.ndarray, "_"]) -> float:
+    """Distance of corresponding points, by position and colour, above which one of them is hidden."""
+    return max(OUTLIER_FACTOR * median(distances), LEAST_OUTLIER)
+
+
+def joined(clouds: Sequence[Cloud]) -> Cloud:
+    """All points of several clouds."""
+    return Cloud(np.concatenate([each.points for each in clouds]), np.concatenate([each.colours for each in clouds]))
 
 
 def median(values: Float[np.ndarray, "_"]) -> float:
@@ -214,7 +224,7 @@ def split(points: Points, gap: float) -> Int64[np.ndarray, "point"]:
 
 def large(labels: Int64[np.ndarray, "point"]) -> Int64[np.ndarray, "component"]:
     """Components with at least `LEAST_POINTS` points."""
-    return np.flatnonzero(np.bincount(labels, minlength=0) >= LEAST_POINTS)
+    return np.flatnonzero(np.bincount(labels) >= LEAST_POINTS)
 
 
 def join_small(points: Points, labels: Int64[np.ndarray, "point"]) -> Int64[np.ndarray, "point"]:

@@ -12,7 +12,7 @@ from obpose.model.pose.minimum_volume import orient
 
 MIN_PIXELS = 10
 """A slot keeps its orientation from the previous frame, initially the identity, if it has the largest mask at fewer
-pixels than this. [code: 10 points]"""
+pixels than this. Pixels of an object that stands count twice in `standing_boxes`. [code: 10 points]"""
 STANDING = 0.03
 """Height of the lowest visible point, metres above the table, below which an object stands on the table."""
 _POINTS = 256

@@ -29,11 +29,16 @@ def test_balls_that_meet_stay_two_objects(order: int):
     assert np.min(clip_scores(truth, plain)["ari_fg"]) == 0  # one cluster where they touch: the clip is needed
 
 
-def test_an_object_that_enters_gets_a_label_of_its_own():
-    still = np.tile([-0.2, 0.0, 0.045], (7, 1))
-    enters = np.stack([np.linspace(3.0, 0.15, 7), np.zeros(7), np.full(7, 0.045)], axis=-1)
-    clip, truth = balls(np.stack([still, enters], axis=1))
-    assert clip_scores(truth, ClipTracker().segment(clip).labels)["ari_fg_video"] == 1
+@pytest.mark.parametrize("order", [1, -1], ids=["enters", "leaves"])
+def test_an_object_that_enters_or_leaves_has_a_label_of_its_own(order: int):
+    """The frame with most components is the one without it, because three others are apart only there."""
+    apart, touching = ([cube(3) * 0.01 + [gap * place, 0, 0] for place in (-1, 0, 1)] for gap in (0.05, 0.04))
+    side = cube(3)[:9] * 0.01 + [0, 0.1, 0]
+    frames = [np.concatenate(apart), np.concatenate([*touching, side])][::order]
+    assert [split(points, 0.025).max() + 1 for points in frames] == [3, 2][::order]
+    labels = follow_clearest([Cloud(points, np.zeros_like(points)) for points in frames], 0.025)
+    expected = [np.repeat(range(3), 27), np.repeat(range(4), [27, 27, 27, 9])][::order]
+    assert all(np.array_equal(*pair) for pair in zip(labels, expected, strict=True))
 
 
 def test_a_hidden_object_returns_under_its_label():

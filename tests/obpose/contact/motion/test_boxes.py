@@ -4,6 +4,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from obpose.contact.motion.boxes import (
+    FARTHEST,
     LEAST_POINTS,
     Surface,
     aligned,
@@ -35,18 +36,63 @@ def turned(degrees: float, shift: tuple[float, float, float] = (0, 0, 0), axis: 
     return Motion(Rotation.from_euler(axis, degrees, degrees=True).as_matrix(), np.array(shift, float))
 
 
+def black(points: np.ndarray) -> Cloud:
+    return Cloud(points, np.zeros_like(points))
+
+
 def seen(motion: Motion) -> Cloud:
-    points = surface()[0]
-    return motion.moved(Cloud(points, np.zeros_like(points)))
+    return motion.moved(black(surface()[0]))
+
+
+def plate() -> np.ndarray:
+    """Points of a horizontal square of 9 cm."""
+    return np.stack([*np.mgrid[:0.095:0.01, :0.095:0.01], np.zeros((10, 10))], axis=-1).reshape(-1, 3)
+
+
+def aligned_to_plate(points: np.ndarray) -> tuple[Motion, float]:
+    return aligned(black(points), Surface(black(plate()), np.tile(np.eye(3)[2], (100, 1))), REST)
 
 
 @pytest.mark.parametrize("motion", [turned(6, (0.005, -0.003, 0.0)), turned(10, (0.01, -0.003, 0.002))])
 def test_registration_finds_the_motion_between_visible_sides(motion: Motion):
     points, normals = surface()
-    found, residual = aligned(seen(motion), Surface(Cloud(points, np.zeros_like(points)), normals), REST)
+    found, residual = aligned(seen(motion), Surface(black(points), normals), REST)
     assert residual < 2e-4
     np.testing.assert_allclose(found.inverse.rotation, motion.rotation, atol=0.01)
     np.testing.assert_allclose(found.inverse.shift, motion.shift, atol=0.001)
+
+
+def test_misplaced_points_hardly_move_the_others():
+    """Every seventh point is 9 mm too high, which is 1.4 mm on average."""
+    points = plate()
+    points[::7, 2] += 0.009
+    motion, _ = aligned_to_plate(points)
+    np.testing.assert_allclose(motion.moved(black(points)).points, points, atol=3e-4)
+
+
+def test_a_plate_is_registered_along_its_surface():
+    """The distances along its normals are zero from the start."""
+    motion, residual = aligned_to_plate(plate() + np.array([0.003, 0.002, 0]))
+    np.testing.assert_allclose(motion.shift, [-0.003, -0.002, 0], atol=1e-6)
+    assert residual < 1e-6
+
+
+def test_points_far_from_the_surface_do_not_pull_but_count_as_a_misfit():
+    """Half of the points are far beside the plate, in its plane."""
+    motion, residual = aligned_to_plate(np.concatenate([plate(), plate() + np.array([0.2, 0.1, 0])]))
+    np.testing.assert_allclose(motion.shift, 0, atol=1e-9)
+    np.testing.assert_allclose(motion.rotation, np.eye(3), atol=1e-9)
+    assert np.isclose(residual, FARTHEST / 2)
+
+
+def test_an_imprecise_frame_does_not_spoil_the_next():
+    """The frame after it is registered to the points of both, and fits those of the first exactly."""
+    motions = [turned(3.0 * frame, (0.003 * frame, 0, 0)) for frame in range(3)]
+    clouds = [seen(motion).part(np.arange(0, len(surface()[0]), 4)) for motion in motions]
+    clouds[1].points[:] += np.random.default_rng(0).normal(0, 0.002, clouds[1].points.shape)
+    (group,) = linked_frames(clouds)
+    np.testing.assert_allclose(group[2].rotation, motions[2].rotation, atol=1e-4)
+    np.testing.assert_allclose(group[2].shift, motions[2].shift, atol=1e-4)
 
 
 def test_frames_are_linked_until_the_motion_is_unknown():
@@ -107,6 +153,14 @@ def test_boxes_of_few_points_stay():
     assert all(torch.equal(*pair) for pair in zip(found, first, strict=True))
 
 
+def box_of_image(places: np.ndarray, own: np.ndarray, *, table: float) -> tuple[np.ndarray, np.ndarray]:
+    """T and R of the only object of a black image."""
+    points, owners = (torch.from_numpy(value)[None, None] for value in (places, own.astype(int)))
+    first = torch.zeros(1, 1, 1, 3), torch.eye(3).expand(1, 1, 1, 3, 3)
+    middle, rotation = boxes_over_time(points, torch.zeros_like(points), owners, first, table=table)
+    return middle[0, 0, 0].numpy(), rotation[0, 0, 0].numpy()
+
+
 def grid(spacing: float, slope: float = 0.0) -> np.ndarray:
     """Image of a plane, 8 by 10 pixels, 5 cm high at the left."""
     y, x = np.mgrid[:8, :10] * spacing
@@ -131,12 +185,25 @@ def test_the_border_of_an_image_is_not_that_of_an_object():
 
 def test_the_middle_of_a_box_counts_half_pixels_beyond_the_border():
     """On the left, the object leaves the image."""
-    places, own = grid(0.01), np.zeros((1, 8, 10), bool)
+    own = np.zeros((1, 8, 10), bool)
     own[0, 1:7, 0:9] = True
-    points, owners = (torch.from_numpy(value)[None, None] for value in (places, own.astype(int)))
-    first = torch.zeros(1, 1, 1, 3), torch.eye(3).expand(1, 1, 1, 3, 3)
-    middle, _ = boxes_over_time(points, torch.zeros_like(points), owners, first, table=0.0)
-    torch.testing.assert_close(middle[0, 0, 0, :2], torch.tensor([0.0425, 0.035]), atol=1e-4, rtol=0)
+    middle, _ = box_of_image(grid(0.01), own, table=0.0)
+    np.testing.assert_allclose(middle[:2], [0.0425, 0.035], atol=1e-4)
+
+
+def test_the_border_does_not_tilt_a_sloping_plate():
+    """Points beyond the border are level with it, so that a box around them would have another slope."""
+    own = np.zeros((1, 8, 10), bool)
+    own[0, 1:7, 4:7] = True
+    _, rotation = box_of_image(grid(0.01, slope=1.0), own, table=-1.0)
+    assert np.abs(rotation.T @ [1, 0, 1]).max() > np.sqrt(2) * np.cos(np.radians(2))
+
+
+def test_a_box_turns_by_less_than_a_degree_with_its_object():
+    """The upright box is only 1.5 % larger."""
+    block = np.stack(np.meshgrid([-0.03, 0, 0.03], [-0.02, 0, 0.02], [0, 0.02, 0.04]), axis=-1).reshape(1, 3, 9, 3)
+    _, rotation = box_of_image(block @ turned(0.4).rotation.T, np.ones((1, 3, 9), bool), table=-1.0)
+    assert np.degrees(Rotation.from_matrix(rotation).magnitude()) == pytest.approx(0.4, abs=0.1)
 
 
 def test_axes_keep_their_names_where_motion_is_not_known():

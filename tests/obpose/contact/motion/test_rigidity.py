@@ -28,6 +28,16 @@ def test_registration_finds_rigid_motions(degrees: float):
     np.testing.assert_allclose(motion.moved(cloud(points)).points, points @ rotation.T + [0.05, 0.01, 0], atol=1e-6)
 
 
+@pytest.mark.parametrize("hidden", [0, 1], ids=["before", "after"])
+def test_registration_leaves_out_hidden_points(hidden: int):
+    """A fifth of the points, at one end of the object, is seen in one of two frames only."""
+    points = np.concatenate([box(0, 0.0), box(1, 0.09, 15)])
+    frames = [points, points @ Rotation.from_euler("z", 5, degrees=True).as_matrix().T + [0.01, 0, 0]]
+    before, after = (cloud(seen[:60] if frame == hidden else seen) for frame, seen in enumerate(frames))
+    found = register(before, after, None, rounds=20).moved(cloud(points)).points
+    np.testing.assert_allclose(found, frames[1], atol=1e-6)
+
+
 @pytest.mark.parametrize("slip", [0.0, 0.01, 0.02])
 def test_joint_residuals_grow_with_relative_motion(slip: float):
     one, other = box(0, 0.0), box(1, 0.06)
@@ -52,6 +62,28 @@ def test_one_slip_counts_in_a_long_clip_as_in_a_short_one():
     labels = [np.repeat([0, 1], 60)] * 12
     short, long = (common_motion(part, labels[: len(part)]).excess[0, 1] for part in (frames[5:7], frames))
     assert long > 0.9 * short > 0.003
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_one_part_with_a_clear_motion_suffices(order: int):
+    """A ring of 15 points turns by 24 degrees, which alone looks like rest; the box beside it shows the rotation."""
+    angles = 2 * np.pi * np.arange(15) / 15
+    parts = [0.02 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=-1), box(1, 0.06)][::order]
+    turn = Rotation.from_euler("z", 24, degrees=True).as_matrix()
+    frames = [cloud(*parts), cloud(*(part @ turn.T for part in parts))]
+    labels = [np.repeat([0, 1], [len(part) for part in parts])] * 2
+    assert common_motion(frames, labels).excess[0, 1] < 1e-6
+
+
+def test_points_far_from_all_others_have_the_same_residual_in_any_motion():
+    """Specks count in the mean, as 4 of 64 points of a part, but add nothing to the excess."""
+    one, other = box(0, 0.0), box(1, 0.06)
+    turn = Rotation.from_euler("z", 10, degrees=True).as_matrix()
+    after, labels = cloud(one @ turn.T + [0, 0.02, 0], other), np.repeat([0, 1], 60)
+    plain = common_motion([cloud(one, other), after], [labels] * 2).excess
+    specks = np.tile([0, 0.2, 0], (4, 1))
+    spoiled = common_motion([cloud(specks, one, other), after], [np.append([0] * 4, labels), labels]).excess
+    np.testing.assert_allclose(spoiled, plain * 60 / 64, atol=1e-5)
 
 
 def test_parts_that_are_far_apart_or_seen_once_are_not_compared():
