@@ -11,7 +11,6 @@ from obpose.contact.config import LEAST_FLOOR, ContactConfig, ContactModelConfig
 from obpose.contact.images import Images, augmented, cropped, images_of
 from obpose.contact.losses import PULL_MARGIN
 from obpose.contact.model import ContactModel, Outputs
-from obpose.contact.network import UNet
 from obpose.data.clean_depth import clean_depth, depth_noise
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of
 from obpose.errors import UsageError
@@ -64,6 +63,24 @@ def test_normals_of_the_table_point_upwards(observation: PastedObservation):
     )
 
 
+def test_pixels_without_depth_have_neither_a_position_nor_a_normal(observation: PastedObservation):
+    valid = torch.ones_like(observation.valid)
+    valid[..., 30, 20:40] = False
+    holed = replace(observation, valid=valid, depth=observation.depth * valid)
+    images = images_of(holed, center=torch.ones(3), table=-1.0)
+    for values in (images.points, images.normals):
+        assert (values.abs().sum(dim=1) > 0)[:, 1:-1, 1:-1].equal(images.valid[:, 1:-1, 1:-1])
+
+
+def test_inputs_resolve_millimetres_above_the_table(observation: PastedObservation):
+    """One input rises by most of its range over 4 mm, and saturates above: inputs of geometry stay in -1..1."""
+    images = arranged(observation)
+    low, high = (replace(images, points=torch.full_like(images.points, z)).inputs() for z in (0.0, 0.004))
+    assert ((high - low).amax(dim=1) > 0.7).all()
+    higher = replace(images, points=torch.full_like(images.points, 0.05)).inputs()
+    assert (higher[:, 3:].abs() <= 1).all()
+
+
 def test_augmentation_mirrors_images_with_their_geometry(observation: PastedObservation):
     images = arranged(observation)
     many = replace(images, **{each.name: torch.cat([getattr(images, each.name)] * 8) for each in fields(images)})
@@ -79,6 +96,25 @@ def test_augmentation_mirrors_images_with_their_geometry(observation: PastedObse
         assert changed.points[index, 0, 30, 40] > changed.points[index, 0, 30, 20]
 
 
+def test_augmentation_permutes_the_colours_of_half_and_changes_brightness_and_balance():
+    """Images of one column look the same when mirrored."""
+    rgb = torch.rand(200, 3, 6, 1, generator=torch.Generator().manual_seed(0))
+    images = Images(rgb, 0 * rgb, 0 * rgb, rgb[:, 0] > 0, 0 * rgb[:, 0].long())
+    changed = augmented(images, torch.Generator().manual_seed(0)).rgb
+    # New colours as linear functions of the old ones: rows belong to old colours, and the last one is the offset.
+    columns = torch.cat([rgb, torch.ones_like(rgb[:, :1])], dim=1)[..., 0].mT
+    found = torch.linalg.lstsq(columns, changed[..., 0].mT).solution
+    gains, offsets = found[:, :3], found[:, 3]
+    used = gains.abs() > 1e-3
+    assert (torch.cat([used.sum(dim=1), used.sum(dim=2)]) == 1).all()
+    permuted = (used != torch.eye(3, dtype=torch.bool)).any(dim=2).any(dim=1)
+    assert permuted.float().mean() == pytest.approx(0.5, abs=0.1)
+    assert [gains[used].min().item(), gains[used].max().item()] == pytest.approx([0.8, 1.2], abs=0.01)
+    assert (gains.sum(dim=1).std(dim=1) > 0.01).float().mean() > 0.9
+    assert [offsets.min().item(), offsets.max().item()] == pytest.approx([-0.05, 0.05], abs=0.01)
+    torch.testing.assert_close(offsets, offsets[:, :1].expand(-1, 3), atol=1e-4, rtol=0)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_crops_hold_the_objects(observation: PastedObservation, seed: int):
     images = arranged(observation)
@@ -88,9 +124,18 @@ def test_crops_hold_the_objects(observation: PastedObservation, seed: int):
     assert cropped(images, 64, None) is images
 
 
-def test_networks_take_images_of_any_size():
-    network = UNet(3, 5)
-    assert network(torch.randn(2, 3, 13, 21)).shape == (2, 5, 13, 21)
+@pytest.mark.parametrize(
+    ("objects", "starts"),
+    [(1, {(row, column) for row in range(4) for column in (2, 3)}), (0, {*np.ndindex(5, 4)})],
+    ids=["an object", "nothing"],
+)
+def test_crops_are_drawn_from_all_windows_that_hold_the_objects(objects: int, starts: set[tuple[int, int]]):
+    """Windows of 4x4 pixels of images of 8x7 pixels, whose points are the indices of the pixels."""
+    labels = torch.zeros(300, 8, 7, dtype=torch.int64)
+    labels[:, 3, 5] = objects
+    index = torch.from_numpy(np.indices((3, 8, 7))[[1, 2, 0], 0]).float().expand(300, -1, -1, -1)
+    cut = cropped(Images(index, index, index, labels == 0, labels), 4, torch.Generator().manual_seed(0))
+    assert {*map(tuple, cut.points[:, :2, 0, 0].int().tolist())} == starts
 
 
 @pytest.mark.parametrize(("places", "colours", "apart"), [(1, 0, True), (0, 1, True), (0, 0, False)])

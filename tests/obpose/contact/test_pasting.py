@@ -113,6 +113,14 @@ def test_objects_beyond_the_255th_of_a_clip_share_a_label(clips: ArrayClips, mon
     assert np.unique(found).tolist() == [0, 255]
 
 
+def test_one_to_three_objects_are_added_and_each_number_often():
+    clips = source([(0.0, 0.0)])
+    counts = [int(image["pseudo_labels"].max()) - 1 for image in pasted(clips, 60)]
+    shares = np.bincount(counts, minlength=4) / len(counts)
+    assert len(shares) == 4
+    assert (shares[1:] > 0.15).all()
+
+
 def test_objects_are_added_to_those_that_are_there(clips: ArrayClips):
     counts = [int(image["pseudo_labels"].max()) for image in pasted(clips)]
     own = [1, 1, 2]
@@ -226,6 +234,15 @@ def test_the_background_does_not_tint_the_border_of_objects():
     assert (cut_out(scene, np.random.default_rng(0)).rgb == 0.5).all()
 
 
+def test_thin_parts_of_objects_keep_their_colours_away_from_thick_ones():
+    """A square of 6 pixels with a handle of one row; the inside of the square ends in column 24."""
+    scene = drawn((slice(20, 26), slice(20, 26)), (22, slice(26, 36)))
+    columns = np.nonzero(scene.labels)[1]
+    own = (cut_out(scene, np.random.default_rng(0)).rgb == scene.rgb[scene.labels > 0]).all(axis=1)
+    assert own[columns > 26].all()
+    assert not own[(columns == 25) | (columns == 26)].any()
+
+
 def test_half_of_the_pasted_objects_take_the_colour_of_the_other_object():
     scene, own = seen_at_an_angle(), np.array([0.2, 0.4, 0.6], np.float32)
     other = replace(scene, rgb=0 * scene.rgb + own)
@@ -271,6 +288,16 @@ def test_few_objects_are_pasted_where_they_touch_none_though_most_places_are_so(
     assert 0.7 < np.mean(touching) < 1
 
 
+def test_nearly_all_objects_are_pasted_though_most_places_are_refused():
+    """No place between two distant pixels touches one of them. A fifth of such places are accepted.
+
+    One of twelve places is accepted with a probability of 1 - 0.8 ** 12 = 93 %.
+    """
+    found = [*pastings(drawn((10, 10), (50, 50)), drawn((slice(30, 34), slice(30, 34))))]
+    assert len(found) == pytest.approx(93, abs=6)
+    assert not any(adjoins(each.labels) for _, each in found)
+
+
 def test_nothing_is_pasted_into_images_with_many_objects():
     many = source([(x, y) for x in (-0.2, 0.0, 0.2) for y in (-0.2, 0.0, 0.2)])
     assert [int(image["pseudo_labels"].max()) for image in pasted(many, 5)] == [9] * 5
@@ -282,6 +309,17 @@ def test_the_image_with_the_most_objects_is_used():
     clips = ArrayClips([balls(np.concatenate([together, apart, together]))[0]])
     assert [scene.count for scene in pseudo_scenes(clips.window(0, 0, 3), **SCENE)] == [1, 2, 1]
     assert PastedClips(clips, **SETTINGS, seed=0)._scene(0).count == 2
+
+
+def test_pseudo_objects_are_followed_from_the_frame_that_shows_the_most():
+    """Two balls touch in the first and the last frame."""
+    paths = np.array([[[-place, 0, RADIUS], [place, 0, RADIUS]] for place in (0.04, 0.08, 0.04)])
+    clip, truth = balls(paths)
+    clips = ArrayClips([clip])
+    assert [scene.count for scene in pseudo_scenes(clips.window(0, 0, 3), **SCENE)] == [1, 2, 1]
+    labels = PastedClips(clips, **SETTINGS, seed=0).pseudo_labels(clips.window(0, 0, 3))
+    both = (labels > 0) & (truth > 0)
+    assert {*zip(truth[both].tolist(), labels[both].tolist(), strict=True)} == {(1, 1), (2, 2)}
 
 
 def test_narrow_holes_do_not_divide_objects_and_belong_to_them_only_if_cleaned():

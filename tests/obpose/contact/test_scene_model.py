@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 import torch
 
+from obpose.config import override
 from obpose.contact.config import check_contact_obpose_bounds
+from obpose.contact.motion.boxes import boxes_over_time
 from obpose.contact.scene_model import LEAST_SHARE, ContactObPose, assignment_loss, build_contact_obpose
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of
 from obpose.errors import UsageError
+from obpose.geometry import unproject
 from obpose.model.nerf.compose import log_share
+from obpose.model.pose.orientation import standing_boxes
 from obpose.systems import find_system
 from obpose.training.loop import train
 from obpose.types import ContactObservation, PastedObservation
@@ -101,6 +105,24 @@ def test_objects_are_those_of_the_contact_model_however_many(model: ContactObPos
     assert torch.equal(model.segment(observation).labels, model.contact.segment(observation).labels)
 
 
+def test_boxes_are_those_of_the_whole_clip_unless_a_translation_is_learned(
+    model: ContactObPose, monkeypatch: pytest.MonkeyPatch
+):
+    """A learned translation is relative to the boxes of single frames. The ball moves on a table at a height of 1 m."""
+    clip, truth = balls(np.array([[[0.0, 0.0, 0.045]], [[0.0, 0.02, 0.045]]]), 16, eye=(0.16, 0.0, 0.12))
+    clip.world_from_camera[:, 2, 3] += 1
+    observation = observation_of([ArrayClips([clip]).window(0, 0, 2)])
+    labels, points = torch.from_numpy(truth.astype(np.int64))[None], unproject(observation)
+    single = standing_boxes(points, labels, slots=1, table=1.0)[:2]
+    fused = boxes_over_time(points, observation.rgb, labels, single, table=1.0)
+    assert not torch.allclose(fused[0], single[0], atol=1e-3)
+    for translation, expected in ((0.0, fused), (0.05, single)):
+        changes = {"model.table": 1.0, "model.pose.max_translation": translation}
+        monkeypatch.setattr(model, "config", override(model.config, changes))
+        found = model.eval().segment(observation, labels).inference
+        torch.testing.assert_close((found.observed_center, found.boxes.rotation), expected)
+
+
 def test_without_a_segmentation_there_are_no_objects(model: ContactObPose, clips: ArrayClips):
     assert not model.infer(observation_of([clips.window(0, 0, 1)])).masks.active.any()
 
@@ -135,7 +157,10 @@ def test_labels_of_the_dataset_do_not_reach_the_training():
     ("name", "value", "message"),
     [
         ("model.attention.kind", "icsbp", "expected given"),
-        ("train.views", "separate", "expected random or all"),
+        ("train.views", "separate", "expected random"),
+        ("train.views", "all", "expected random"),
+        ("contact.table", 0.4, "expected the table's height, 0 by model.table"),
+        ("model.table", 0.4, "expected the table's height, 0.399 by model.table"),
         ("contact.gap", 0.0, "expected more than 0"),
         ("train.rays", -1, "expected 0 or more"),
     ],

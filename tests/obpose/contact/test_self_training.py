@@ -11,14 +11,15 @@ from obpose.baselines.supervised import Supervised
 from obpose.config import override
 from obpose.contact.clip import Image
 from obpose.contact.config import ContactConfig, OgcConfig, SupervisedConfig, check_contact_bounds
-from obpose.contact.model import ContactModel, Teacher
+from obpose.contact.model import EMBEDDING, ContactModel, Outputs, Teacher
 from obpose.contact.pasting import ClipsWithPasted, PastedClips, PseudoScene
 from obpose.contact.scene_model import build_contact_obpose
-from obpose.contact.self_training import START, divided
+from obpose.contact.self_training import DIVISION_BIAS, START, divided
 from obpose.data.clips import ArrayClips, ClipSource
 from obpose.errors import Interrupted, UsageError
 from obpose.systems import find_system
 from obpose.training.loop import Status, train
+from tests.obpose.contact.test_grouping import affinities
 from tests.worlds.sphere_clips import balls
 
 PLACES = np.array([[[-0.1, 0.05, 0.045], [0.08, -0.1, 0.045]]])
@@ -139,6 +140,23 @@ def test_single_images_are_grouped_with_certainty(clips: ArrayClips, monkeypatch
     found = Teacher(eager())(scene)
     assert asked == [EVERYWHERE]
     assert [len(np.unique(found[scene.labels == name])) for name in (1, 2)] == [2, 1]
+
+
+@pytest.mark.parametrize(("certainty", "parts"), [(0.8, 1), (0.84, 2)])
+def test_objects_are_divided_where_the_network_is_at_least_82_percent_certain(
+    clips: ArrayClips, monkeypatch: pytest.MonkeyPatch, certainty: float, parts: int
+):
+    """The bias is the logit of this certainty. The network sees a border across the middle of each object."""
+    monkeypatch.setattr("obpose.contact.model.DIVISION_BIAS", DIVISION_BIAS)
+    scene, model = PastedClips(clips, **SETTINGS)._scene(0), eager()
+    halves = Halves()(scene)
+    logits = affinities(halves, 9.0)
+    logits[logits < 0] = np.log(1 / certainty - 1)
+    objects = torch.from_numpy(np.where(scene.labels > 0, 1.0, -1.0))[None].float()
+    outputs = Outputs(objects, torch.zeros(1, EMBEDDING, *objects.shape[1:]), torch.from_numpy(logits)[None])
+    monkeypatch.setattr(model, "outputs", lambda images: outputs)
+    found = Teacher(model)(scene)
+    assert [len(np.unique(found[scene.labels == name])) for name in (1, 2)] == [parts, parts]
 
 
 def test_clean_images_are_not_cleaned_again(clips: ArrayClips, monkeypatch: pytest.MonkeyPatch):
