@@ -110,7 +110,7 @@ class Ogc(ContactModel):
     @torch.no_grad()
     def segment(self, observation: Observation) -> Segmentation:
         """Label objects over whole clips; `attention` holds the largest masks of single images."""
-        images, points, colours = self.arranged(observation)
+        images, points, colours = self.images_and_points(observation)
         standing = self.standing(images).cpu().numpy()
         single = (self.masks(images).argmax(dim=1).cpu().numpy() + 1) * standing
         # Foreground points and objects of each image.

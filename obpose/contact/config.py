@@ -12,7 +12,7 @@ FLOOR_NOISE = 4.0
 """Height above the table from which points belong to objects, for noisy depth, in standard deviations of the noise."""
 SMOOTHED = 3.0
 """Factor by which cleaning reduces the noise of planes (`obpose.data.clean_depth.smooth_depth`)."""
-TABLES = 0.0015
+TABLE_TOLERANCE = 0.0015
 """Largest difference in metres of the two heights of the table in a configuration of `obpose-contact`."""
 RISE = 0.1
 """Share of the budget over which the learning rate rises. Without it, the network finds fewer borders to the end."""
@@ -143,5 +143,7 @@ def check_contact_obpose_bounds(config: ContactObPoseConfig) -> None:
     expect(background == "component", "model.background", background, "component, as masks have a background")
     expect(views == "random", "train.views", views, "random, as pseudo-objects of several views have no common labels")
     table, top = config.contact.table, model.table_top
-    agree = model.table is None or abs(table - top) < TABLES
-    expect(agree, "contact.table", table, f"the table's height, {top:g} by model.table, to {1000 * TABLES:g} mm")
+    agree = model.table is None or abs(table - top) < TABLE_TOLERANCE
+    expect(
+        agree, "contact.table", table, f"the table's height, {top:g} by model.table, to {1000 * TABLE_TOLERANCE:g} mm"
+    )

@@ -138,7 +138,7 @@ class ContactModel(Trainable):
         """Clean the depth of an observation if so set, and arrange its images."""
         return images_of(self._cleaned(observation), center=self.center, table=self.config.model.table)
 
-    def arranged(
+    def images_and_points(
         self, observation: Observation
     ) -> tuple[Images, Float[np.ndarray, "image height width 3"], Float[np.ndarray, "image height width 3"]]:
         """Give the images of `images`, and arrays of their world points, metres, and colours in 0..1."""
@@ -209,7 +209,7 @@ class ContactModel(Trainable):
     @torch.no_grad()
     def clip_images(self, observation: Observation) -> list[ClipImage]:
         """Clean the depth, run the network, and prepare its outputs for inference: batch, then frame, then view."""
-        images, points, colours = self.arranged(observation)
+        images, points, colours = self.images_and_points(observation)
         outputs = self.outputs(images)
         masks = self._foreground(outputs.foreground, images).cpu().numpy()
         embeddings = rearrange(outputs.embedding.cpu().numpy(), "i c h w -> i h w c")
