@@ -190,8 +190,11 @@ def check_places(keys: Iterable[RunKey], rows: Iterable[RunRow]) -> None:
                 "of another dataset. Give another --name or --out, or --overwrite to replace all rows of that name."
             )
         changed = [name for name, value in dataclasses.asdict(key).items() if getattr(row.key, name) != value]
+        other = (
+            "of another version of the dataset" if set(changed) <= {"track_spec", "fit_spec"} else "of other settings"
+        )
         raise UsageError(
-            f"The run folder has a row of {key.model} on {key.track} of other settings ({', '.join(changed)} differs). "
+            f"The run folder has a row of {key.model} on {key.track} {other} (different: {', '.join(changed)}). "
             "Give another folder with --out, the same settings, or --overwrite to replace such rows."
         )
 

@@ -152,7 +152,7 @@ HEADLINE_POSES = tuple(POSE_SCORES[place] for place in (0, 1, 4, 7))
 
 MARKS = {
     USES_LABELS: "uses ground-truth labels, and is not ranked",
-    TUNED: "tuned on the labels of the validation split; the number is that of the values or short runs compared",
+    TUNED: "settings were chosen on labelled validation scenes; the number is that of values or short runs compared",
     PRETRAINED: "pretrained: one set of weights, which ships with the package or was given",
 }
 GROUP_LETTERS = "Models that share a letter do not differ significantly (paired by scene, Holm-corrected, 5 %)."
@@ -276,12 +276,12 @@ def table_notes(results: Sequence[ModelResult]) -> Iterator[str]:
 def caveats(results: Sequence[ModelResult]) -> list[str]:
     """Explain what is special about these results, such as a missing floor; most results need none of this."""
     once = {result.row.key.model for result in results if result.n_runs < len(result.rows)}
-    classical = [result.row for result in results if result.row.kind == "classical" and result.n_scenes]
-    free = {row.key.model for row in classical if "slots" not in row.priors}
+    models = [result.row for result in results if result.row.kind in ("classical", "learned") and result.n_scenes]
+    free = {row.key.model for row in models if "slots" not in row.priors}
     said = {
         f"Run once, because they do not depend on the seed: {_listed(once)}.": once,
         VIEWS.note: any(result.views for result in results),
-        f"Not limited to the track's number of slots: {_listed(free)}. They determine the number themselves.": free,
+        f"Not limited to the track's number of slots, because they find the number of objects: {_listed(free)}.": free,
         without_floor(results): True,
     }
     return [note for note, applies in said.items() if note and applies]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from joblib import cpu_count
 from torch import Tensor
 
@@ -16,11 +16,14 @@ import assets
 from datagen.console.text import counted
 from datagen.storage.atomic import check_new_file, check_new_folder, new_file
 from obpose.commands.edit_arguments import Add, FitPrior, Infer, Mesh, Move, Render, Rotate, Sample
+from obpose.contact.scene_model import ContactObPose
 from obpose.data.datasets import SceneDataset
 from obpose.errors import Interrupted, UsageError
+from obpose.geometry import unproject
 from obpose.model.resolution import spacing_note
-from obpose.rgbd.frames import prepare, trained_on
+from obpose.rgbd.frames import PreparedFrames, prepare, trained_on
 from obpose.rgbd.reading import read_frames
+from obpose.rgbd.results import objects_of, width_warnings
 from obpose.rgbd.weights import DEFAULT, segment_clip, segment_reduced
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import strength
@@ -70,7 +73,7 @@ def infer(values: Infer) -> None:
         place = (values.data, values.split, values.scene)
         clip = read_clip(*place)
         check_new_folder(values.out)
-        print(f"Resolution: {spacing_note(origin.model, clip)}.")
+        print(f"Weights: {origin.name}.\nResolution: {spacing_note(origin.model, clip)}.")
         labels = (
             None if values.masks in (None, OWN) else segment_clip(values.masks, views_as_trained(origin.model, clip))
         )
@@ -82,10 +85,14 @@ def infer(values: Infer) -> None:
         check_new_folder(values.out)
         if frames.moves:
             raise UsageError("The camera moves in these frames; expected frames of a static camera, or a single one.")
+        masks = values.masks or DEFAULT
+        print(f"Weights: {origin.name}; masks: {'their own' if masks == OWN else masks}.")
         print(f"World: {frames.world.note}.\nResolution: {frames.resolution}.")
-        for warning in frames.warnings:
+        # The contact model's own masks also go through the filters of frames, which drop bumps of the table.
+        finder = origin.name if masks == OWN and isinstance(origin.model, ContactObPose) else masks
+        labels = None if finder == OWN else segment_reduced(finder, values, frames)
+        for warning in [*frames.warnings, *([] if labels is None else _wide(labels, frames))]:
             print(f"Warning: {warning}")
-        labels = None if values.masks == OWN else segment_reduced(values.masks or DEFAULT, values, frames)
         scene = infer_scene(origin, frames.observation, refinements=values.refine, labels=labels)
         for name in [] if labels is None else sorted({*labels.unique().tolist()} - {0, *scene.ids}):
             print(
@@ -99,6 +106,12 @@ def infer(values: Infer) -> None:
         print("No object was found: there is none, or the weights were trained too little or on other scenes.")
     elif values.refine and not strength(scene.appearance.light):
         print("No light was found by its shadows: the scene is drawn without any.")
+
+
+def _wide(labels: Int[Tensor, "1 frame 1 height width"], frames: PreparedFrames) -> list[str]:
+    """Warn of masks that are wider than an object should be."""
+    points = unproject(frames.observation)[0, :, 0].numpy()
+    return width_warnings([objects_of(*pair) for pair in zip(labels[0, :, 0].numpy(), points, strict=True)])
 
 
 def _default_weights(values: Infer) -> str:

@@ -34,8 +34,6 @@ UNTRAINED_CHOICE = "plane-hdbscan"
 FARTHEST, LOWEST = 2.6, 21.0
 """Greatest distance (metres) and least elevation (degrees) of cameras for which `auto` takes the weights. Those
 of their training images are 0.4 to 1.3 m and 25 to 85 degrees; docs/own_frames.md compares methods beyond."""
-WIDEST = 0.35
-"""Greatest width of the upright box of an object in 100 validation scenes of `desk`, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +72,7 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
     # Late, because PyTorch takes seconds to import.
     with interruptible_imports(PROGRAM):
         from obpose.contact.clip import MOST_OBJECTS
-        from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, check_target, objects_of, write_results
+        from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, check_target, objects_of, width_warnings, write_results
         from obpose.rgbd.segment import segment_frames
 
     if values.objects is not None and not 1 <= values.objects <= MOST_OBJECTS:
@@ -89,14 +87,7 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
     if labels.max() == most:
         warnings.append(f"As many objects were found as were looked for, {most}: there may be more; see --objects.")
     objects = [objects_of(image, frames.points(number)) for number, image in enumerate(labels)]
-    if wide := sorted({each.label for found in objects for each in found if each.box.size[:2].max() > WIDEST}):
-        where = "" if len(objects) == 1 else "in some frame "
-        names = ", ".join(map(str, wide))
-        these, they = (f"Label {names} is", "It") if len(wide) == 1 else (f"Labels {names} are", "Each")
-        warnings.append(
-            f"{these} {where}wider than any object of the dataset desk, {100 * WIDEST:.0f} cm. {they} may be several "
-            "objects, or a part of a floor or wall; see --workspace and --depth-max."
-        )
+    warnings += width_warnings(objects)
     facts = {
         "method": name,
         "world": frames.world.note,

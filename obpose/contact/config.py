@@ -4,7 +4,17 @@ import math
 from dataclasses import dataclass, field
 
 from obpose.config import Config, TrainConfig
-from obpose.config_bounds import SLOTS, TRAINING, Rule, check_bounds, check_values, expect, not_negative, positive
+from obpose.config_bounds import (
+    SLOTS,
+    TRAINING,
+    Rule,
+    at_most,
+    check_bounds,
+    check_values,
+    expect,
+    not_negative,
+    positive,
+)
 
 LEAST_FLOOR = 0.0003
 """Height in metres above the table from which points belong to objects, for exact depth."""
@@ -14,6 +24,8 @@ SMOOTHED = 3.0
 """Factor by which cleaning reduces the noise of planes (`obpose.data.clean_depth.smooth_depth`)."""
 TABLE_TOLERANCE = 0.0015
 """Largest difference in metres of the two heights of the table in a configuration of `obpose-contact`."""
+LARGEST_SCALE = 64
+"""Largest `image_scale`: images of 4096 pixels."""
 RISE = 0.1
 """Share of the budget over which the learning rate rises. Without it, the network finds fewer borders to the end."""
 
@@ -108,6 +120,7 @@ def model_rules(part: str) -> tuple[Rule, ...]:
     division = f"{part}.division_gap"
     return (
         positive(f"{part}.gap {part}.spacing {part}.image_scale"),
+        at_most(f"{part}.image_scale", LARGEST_SCALE),
         (division, lambda value: value is None or 0 < value < math.inf, "none, or more than 0 and finite"),
         not_negative(f"{part}.noise"),
     )

@@ -27,6 +27,8 @@ from obpose.scenes.pictures import write_gif, write_png
 OBJECTS_FILE, SUMMARY, ANIMATION, CLOUDS = "objects.json", "summary.png", "overlay", "clouds"
 OPACITY = 0.5
 """Opacity of labels in overlays."""
+WIDEST = 0.35
+"""Greatest width of the upright box of an object in 100 validation scenes of `desk`, metres."""
 LEAST_POINTS = 4
 """Objects with fewer pixels in a frame have no box and no point cloud there."""
 _NEAREST = 0.01
@@ -66,6 +68,20 @@ def objects_of(labels: Labels, points: Float[np.ndarray, "height width 3"]) -> l
         SegmentedObject(int(label), int(sizes[label]), upright_box(points[labels == label]))
         for label in np.flatnonzero(sizes)
         if label > 0 and sizes[label] >= LEAST_POINTS
+    ]
+
+
+def width_warnings(objects: Sequence[Sequence[SegmentedObject]]) -> list[str]:
+    """Warn, for the user, of objects that are wider than `WIDEST` in some frame; one list of objects per frame."""
+    wide = sorted({each.label for found in objects for each in found if each.box.size[:2].max() > WIDEST})
+    if not wide:
+        return []
+    where = "" if len(objects) == 1 else "in some frame "
+    names = ", ".join(map(str, wide))
+    these, they = (f"Label {names} is", "It") if len(wide) == 1 else (f"Labels {names} are", "Each")
+    return [
+        f"{these} {where}wider than any object of the dataset desk, {100 * WIDEST:.0f} cm. {they} may be several "
+        "objects, or a part of a floor or wall; see --workspace and --depth-max."
     ]
 
 

@@ -12,7 +12,7 @@ from datagen.config import Rig
 from datagen.console.text import counted
 from obpose.errors import UsageError
 from obpose.model.obpose import ObPose
-from obpose.scenes.bounds import above_table, shape_extent
+from obpose.scenes.bounds import shape_extent
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.grids import facing
 from obpose.scenes.priors.interface import Objects, ScenePrior
@@ -21,8 +21,6 @@ from obpose.scenes.scene import Camera, Scene, upright
 
 _TRIES, _LAYOUTS = 200, 10
 """Attempts to find a free place for an object, and attempts to place all objects with new draws."""
-_SKIN = 1e-6
-"""Margin in metres that keeps objects above the table despite rounding."""
 
 _VIEW_PIXELS = 128
 """Width and height of the default camera."""
@@ -94,7 +92,7 @@ def _place(
         # Stand the decoded shape on the table, and measure how far it reaches.
         extent = shape_extent(model, conditioning(model, drawn.what[place], *details), turn)
         height = float(-extent[:, 2].min())
-        reach = float(above_table(extent, height + _SKIN)[:, :2].norm(dim=-1).max())
+        reach = float(extent[:, :2].norm(dim=-1).max())
         # Find a place clear of those before.
         middle = _free_place(prior, center[:place, :2], reaches, reach, generator)
         if middle is None:

@@ -162,6 +162,7 @@ def test_labels_of_the_dataset_do_not_reach_the_training():
         ("contact.table", 0.4, "expected the table's height, 0 by model.table"),
         ("model.table", 0.4, "expected the table's height, 0.399 by model.table"),
         ("contact.gap", 0.0, "expected more than 0"),
+        ("contact.image_scale", 65, "expected at most 64"),
         ("train.rays", -1, "expected 0 or more"),
     ],
 )

@@ -1,10 +1,11 @@
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
-from obpose.geometry import all_rays, to_box, unproject
+from obpose.geometry import all_rays, sample_rays_where, to_box, unproject
 from obpose.model.losses.objective import observation_terms
 from obpose.model.nerf.along import fields_along
 from obpose.model.nerf.detail import Detail
@@ -16,7 +17,7 @@ from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.refine import refine
 from obpose.scenes.scene import Scene
-from obpose.types import Observation
+from obpose.types import Observation, Rays
 from tests.obpose.scenes.small_scenes import alike, equal, some_model
 from tests.worlds.observations import table_scene
 
@@ -48,6 +49,28 @@ def explained(model: ObPose, observation: Observation, scene: Scene) -> float:
 
 def parts(scene: Scene) -> tuple[torch.Tensor, ...]:
     return scene.what, scene.background, scene.center, scene.appearance.detail
+
+
+def test_half_of_the_rays_hit_objects(model: ObPose, monkeypatch: pytest.MonkeyPatch):
+    """Objects are seen in a fifth of the pixels, and a fifth of the other half of the rays hit them too."""
+    observation, hits = clip(), []
+    objects = torch.zeros_like(observation.depth)
+    objects[..., :4, :] = 1
+
+    def watched(*place: Any, **options: Any) -> Rays:
+        rays = sample_rays_where(*place, **options)
+        points = (rays.origin + rays.direction * rays.depth[..., None]).flatten(0, -2)
+        hits.append(
+            float((torch.cdist(points, unproject(observation)[objects > 0]).amin(dim=-1) < 1e-5).float().mean())
+        )
+        return rays
+
+    monkeypatch.setattr(refining, "LEAST_RAYS", 300)
+    monkeypatch.setattr(refining, "RAYS", 300)
+    monkeypatch.setattr(refining, "_shows_objects", lambda observation, decoding: objects)
+    monkeypatch.setattr(refining, "sample_rays_where", watched)
+    refine(model, observation, inferred(model, observation), steps=1)
+    assert hits == [pytest.approx(0.6, abs=0.08)]
 
 
 def test_the_frames_are_explained_better_and_with_details_better_still(model: ObPose):

@@ -70,6 +70,14 @@ def test_misplaced_points_hardly_move_the_others():
     np.testing.assert_allclose(motion.moved(black(points)).points, points, atol=3e-4)
 
 
+def test_hidden_points_do_not_move_the_others():
+    """A side of the plate has no partner, but something else is 3 cm below it."""
+    points = plate()
+    points[:40, 2] += 0.03
+    motion, _ = aligned_to_plate(points)
+    np.testing.assert_allclose(motion.moved(black(points)).points, points, atol=1e-6)
+
+
 def test_a_plate_is_registered_along_its_surface():
     """The distances along its normals are zero from the start."""
     motion, residual = aligned_to_plate(plate() + np.array([0.003, 0.002, 0]))
