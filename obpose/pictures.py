@@ -76,7 +76,7 @@ def draw(model: Trainable, clips: Observation) -> Picture:
         edges = box_edges(boxes.center, boxes.rotation, sides)
     frames = sorted({0, clips.depth.shape[1] - 1})
     rows = [
-        (f"frame {frame + 1}", _tiles(clips, segmentation, reconstruction, edges, clip, frame))
+        (f"clip {clip + 1}\nframe {frame + 1}", _tiles(clips, segmentation, reconstruction, edges, clip, frame))
         for clip in range(len(clips.depth))
         for frame in frames
     ]

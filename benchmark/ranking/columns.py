@@ -155,7 +155,10 @@ MARKS = {
     TUNED: "settings were chosen on labelled validation scenes; the number is that of values or short runs compared",
     PRETRAINED: "pretrained: one set of weights, which ships with the package or was given",
 }
-GROUP_LETTERS = "Models that share a letter do not differ significantly (paired by scene, Holm-corrected, 5 %)."
+GROUP_LETTERS = (
+    "Models that share a letter do not differ significantly (paired by scene, Holm-corrected, 5 %). A low score that "
+    "varies much between scenes can share the letter of a high one."
+)
 FRACTIONAL_RANKS = "A rank of 2.5 means that two models share places 2 and 3."
 FAILED_SEEDS = (
     "A seed failed if its loss was nan or infinite, its mIoU-BG is below 0.5 (swap), or its MSC-FG is within 0.05 of "

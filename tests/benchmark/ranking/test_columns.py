@@ -123,7 +123,7 @@ def test_caveats_are_stated_where_they_apply():
     once = standings([run_row(name, seed=seed, random=False) for name in "ba" for seed in range(2)], [ONES] * 4)
     notes = " ".join([*caveats(special), *caveats(once)])
     assert "Views: how many" in notes
-    assert "number of slots: plane." in notes
+    assert "they find the number of objects: foreign, plane." in notes
     assert "No floor was scored on moving" in notes
     assert "because they do not depend on the seed: a, b." in notes
 
