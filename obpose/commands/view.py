@@ -6,7 +6,9 @@ obpose-view RUN --data DATA                   infer test scene 0 with your own m
 obpose-view SCENE                             open a scene written by obpose-edit or by this page
 """
 
+import atexit
 import importlib.util
+import os
 import socket
 import sys
 import threading
@@ -19,7 +21,7 @@ import tyro
 
 from datagen.console.command_line import Command, run_command
 from datagen.console.interrupts import interruptible_imports
-from obpose.errors import EXIT_OK, UsageError
+from obpose.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
 
 if TYPE_CHECKING:
     from obpose.viewer.page import Page
@@ -70,6 +72,8 @@ def run(values: Arguments) -> int:
     print(f"{PROGRAM}: http://{host}:{values.port} shows {page.title}; Ctrl-C ends it.", flush=True)
     if values.host not in LOOPBACK:
         print(f"{PROGRAM}: everyone who can reach {host} can edit, and save into {values.out}.", flush=True)
+    # A normal exit of the interpreter would unwind threads of the server that still run, and abort.
+    atexit.register(os._exit, EXIT_INTERRUPTED)
     try:
         threading.Event().wait()
     finally:
