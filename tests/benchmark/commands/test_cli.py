@@ -178,7 +178,7 @@ def test_what_a_model_says_of_itself_is_in_its_row_and_other_settings_do_not_rep
     assert row.learning_curve == [{"step": 1.0, "loss": 0.5}]
     assert (row.parameters, row.random, row.kind, row.key.version) == (7, True, "learned", 3)
     assert run_cli(*command, "--steps", 6) == EXIT_USAGE
-    assert "config_hash differs" in capsys.readouterr().err
+    assert "of other settings (different: config_hash)" in capsys.readouterr().err
     assert run_cli(*command, "--steps", 6, "--overwrite") == EXIT_OK
     assert [row.config["steps"] for row in load_runs(tmp_path)] == [6, 6]
     assert len(list((tmp_path / "labels").iterdir())) == 2

@@ -17,7 +17,7 @@ def build_models(world: Path) -> None:
     from obpose.scenes.priors.interface import FitSettings
     from obpose.scenes.priors.train_flow import fit_flow
 
-    run(f"obpose-datagen {MOVING} --split train=12,val=1,test=1 --out {world}/data")
+    run(f"obpose-datagen {MOVING} --split train=18,val=1,test=1 --out {world}/data")
 
     def stop(truth: object, labels: object) -> float:
         """Stop the training at its first validation, which is after the first step."""
@@ -37,12 +37,12 @@ def build_models(world: Path) -> None:
         if line.startswith("step 1 of 1"):
             raise KeyboardInterrupt
 
-    settings = FitSettings(12, steps=1, seed=0, workers=1, refinements=0, save_steps=1)
+    settings = FitSettings(18, steps=1, seed=0, workers=1, refinements=0, save_steps=1)
     with suppress(KeyboardInterrupt):
         fit_flow(load_origin(str(world / "learning")), world / "data", settings, interrupt)
 
 
-LEARN = "obpose-edit fit-prior --kind flow --checkpoint {w}/learning --data {w}/data --clips 12 --steps 1 --workers 1"
+LEARN = "obpose-edit fit-prior --kind flow --checkpoint {w}/learning --data {w}/data --clips 18 --steps 1 --workers 1"
 CONTINUE = f"obpose-train --variant obpose --data {{w}}/data --steps 2 --out {{w}}/run {TINY}"
 INFER_BY = "obpose-edit infer --checkpoint {w}/MODEL --data {w}/data --refine 0 --resolution 8x8 --out {o}"
 SAMPLE = "obpose-edit sample --checkpoint {w}/model --camera {w}/scene --objects 1 --resolution 8x8 --out {o}"
