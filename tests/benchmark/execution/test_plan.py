@@ -98,6 +98,13 @@ def test_other_label_maps_of_the_same_name_are_refused():
         check_places([given(0, digest="new")[0].key], given(0, digest="old"))
 
 
+def test_a_row_of_another_version_of_the_dataset_is_named_as_such(register):
+    key = plan().keys[0]
+    other = blank_row(dataclasses.replace(key, track_spec="other"), registry.MODELS["net"], status="ok")
+    with pytest.raises(UsageError, match=r"net on moving of another version of the dataset \(different: track_spec\)"):
+        check_places([key], [other])
+
+
 def test_constants_of_a_model_are_part_of_the_key(register):
     register(settings={"width": 1})
     narrow = plan().keys

@@ -166,6 +166,17 @@ def test_objects_of_the_masks_that_are_left_out_are_named(
     assert 9 not in load_scene(tmp_path / "own").ids
 
 
+def test_masks_that_are_wider_than_an_object_are_reported(
+    frames: list[str], tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+):
+    def all_of_it(checkpoint: str, flags: Frames, prepared: PreparedFrames) -> Tensor:
+        return prepared.observation.valid.long()
+
+    monkeypatch.setattr(edit_cli, "segment_reduced", all_of_it)
+    assert run("infer", "--checkpoint", MODEL, *frames, "--refine", 0, "--out", tmp_path / "own") == EXIT_OK
+    assert "Warning: Label 1 is in some frame wider than any object" in capsys.readouterr().out
+
+
 def test_a_table_that_is_not_at_zero_gets_a_world_of_its_own(frames: list[str], tmp_path: Path, capsys):
     flags = in_another_world(frames, tmp_path, axis=2, by=-0.4)
     assert run("infer", "--checkpoint", MODEL, *flags, "--refine", 0, "--out", tmp_path / "own") == EXIT_OK
