@@ -129,6 +129,15 @@ def test_no_object_is_matched_to_an_empty_slot_while_there_are_others():
     assert other_scores([count_clip(truth, labels, 0)])[0]["j_and_f"] == 0
 
 
+@pytest.mark.parametrize(("found", "expected"), [((), 0.5), ((1,), 0.75)])
+def test_an_object_without_a_slot_scores_one_where_it_is_absent(found: tuple[int, ...], expected: float):
+    """The second object is visible in two of four frames and never found: it scores 1, 1, 0, 0; TrackEval agrees."""
+    truth = np.zeros((4, 4, 4), int)
+    truth[:, :2, :2] = 1 if found else 0
+    truth[2:, 2:, 2:] = 2
+    assert score(truth, np.where(np.isin(truth, found), truth, 0))["j_and_f"] == pytest.approx(expected)
+
+
 def test_a_false_segment_costs_precision():
     truth = np.zeros((2, 4, 4), int)
     truth[:, :2] = 1

@@ -36,10 +36,10 @@ def clip_of(centres: np.ndarray, wrong: dict[int, np.ndarray] | None = None) -> 
     return images, labels
 
 
-def undecided(image: Image) -> Image:
-    """The image as a network sees it that hardly believes in borders of objects."""
+def undecided(image: Image, logit: float = 0.1) -> Image:
+    """The image as a network sees it that hardly believes in borders of objects; `logit` is that across borders."""
     logits = image.pairs.logits
-    return image._replace(pairs=image.pairs._replace(logits=np.where(logits < 0, 0.1, logits)))
+    return image._replace(pairs=image.pairs._replace(logits=np.where(logits < 0, logit, logits)))
 
 
 def segmented(images: list[Image], **options: float) -> np.ndarray:
@@ -59,15 +59,24 @@ def test_errors_of_single_images_are_outvoted(bad: tuple[int, ...]):
     assert same(segmented(images), truth)
 
 
-@pytest.mark.parametrize(("rigid", "noise"), [(True, 0.0), (False, 0.0), (False, 0.05)])
+@pytest.mark.parametrize(("rigid", "noise"), [(True, 0.0), (False, 0.0), (False, 0.009), (False, 0.015)])
 def test_motion_beyond_the_noise_decides_where_the_network_is_undecided(rigid: bool, noise: float):
-    # Two balls in contact in the image; they move as one body, or the second overtakes the first.
+    # Two balls in contact in the image; they move as one body, or the second overtakes the first. The excess residual
+    # is then 32 mm: more than three standard deviations of 9 mm, but less than three of 15 mm.
     centres = paths((X if rigid else X / 2, 0 * X - 0.04), (X, 0 * X + 0.04))
     images, truth = clip_of(centres)
     found = segmented([images[0], *map(undecided, images[1:])], noise=noise)
-    expected = truth > 0 if rigid or noise else truth
+    expected = truth > 0 if rigid or noise > 0.01 else truth
     assert len(np.unique(found)) == len(np.unique(expected))
     assert adjusted_rand_score(found[truth > 0], expected[truth > 0]) > 0.95
+
+
+def test_motion_divides_what_all_images_weakly_join():
+    """Two balls in contact in the image, of which the second overtakes the first."""
+    images, truth = clip_of(paths((X / 2, 0 * X - 0.04), (X, 0 * X + 0.04)))
+    found = segmented([undecided(image, 0.6) for image in images])
+    assert found.max() == 2
+    assert adjusted_rand_score(found[truth > 0], truth[truth > 0]) > 0.95
 
 
 @pytest.mark.parametrize(("joined", "apart"), [((), True), ((1, 2, 3, 4), True), ((1, 2, 3, 4), False)])

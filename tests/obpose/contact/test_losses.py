@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from obpose.contact.components import OFFSETS, offsets, shifted
-from obpose.contact.losses import DIVIDED, PULL_MARGIN, PUSH_MARGIN, affinity_loss, embedding_loss, foreground_loss
+from obpose.contact.losses import affinity_loss, embedding_loss, foreground_loss
 
 
 def halves(height: int = 8, width: int = 8) -> torch.Tensor:
@@ -32,19 +32,19 @@ def test_true_affinities_cost_nothing_and_only_objects_count():
     assert affinity_loss(logits, labels).item() == pytest.approx(0, abs=1e-6)
 
 
-def test_pairs_of_different_objects_weigh_more():
+def test_pairs_of_different_objects_weigh_twice_as_much():
     labels = torch.tensor([[[1, 1, 2]]])
     logits = torch.zeros(1, OFFSETS, 1, 3)
     logits[0, 0, 0] = torch.tensor([5.0, 5.0, 0.0])  # right, then wrong
     right, wrong = math.log1p(math.exp(-5)), math.log1p(math.exp(5))
-    assert affinity_loss(logits, labels).item() == pytest.approx((right + DIVIDED * wrong) / (1 + DIVIDED), rel=1e-4)
+    assert affinity_loss(logits, labels).item() == pytest.approx((right + 2 * wrong) / 3, rel=1e-4)
 
 
 def test_embeddings_within_the_margins_cost_nothing():
     labels = halves()
     embedding = torch.zeros(1, 3, 8, 8)
-    embedding[:, 0] = torch.where(labels == 2, PUSH_MARGIN + 0.1, 0.0)
-    embedding[:, 1, 1::2] = PULL_MARGIN
+    embedding[:, 0] = torch.where(labels == 2, 3.1, 0.0)
+    embedding[:, 1, 1::2] = 0.3
     assert [float(term) for term in embedding_loss(embedding, labels)] == pytest.approx([0, 0], abs=1e-5)
 
 
@@ -52,8 +52,8 @@ def test_pull_and_push_are_squared_distances_beyond_the_margins():
     labels = torch.tensor([[[1, 1, 2, 2]]])
     embedding = torch.tensor([[[[-1.0, 1.0, 1.0, 3.0]]]])  # means 0 and 2, all pixels 1 from theirs
     pull, push = embedding_loss(embedding, labels)
-    assert pull.item() == pytest.approx((1 - PULL_MARGIN) ** 2, rel=1e-3)
-    assert push.item() == pytest.approx((PUSH_MARGIN - 2) ** 2, rel=1e-3)
+    assert pull.item() == pytest.approx(0.7**2, rel=1e-3)
+    assert push.item() == pytest.approx(1, rel=1e-3)
 
 
 def test_objects_pull_by_the_root_of_their_size():
@@ -61,7 +61,7 @@ def test_objects_pull_by_the_root_of_their_size():
     embedding = torch.zeros(1, 1, 1, 20)
     embedding[..., :4] = torch.tensor([-1.0, 1.0, -1.0, 1.0])  # all pixels of the smaller one 1 from their mean
     pull, _ = embedding_loss(embedding, labels)
-    assert pull.item() == pytest.approx((1 - PULL_MARGIN) ** 2 * 2 / (2 + 4), rel=1e-3)
+    assert pull.item() == pytest.approx(0.7**2 * 2 / (2 + 4), rel=1e-3)
 
 
 def test_images_without_objects_cost_nothing():

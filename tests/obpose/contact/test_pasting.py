@@ -7,16 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from obpose.contact.pasting import (
-    LEAST_LEFT,
-    LEAST_VISIBLE,
-    Cutout,
-    PastedClips,
-    PseudoScene,
-    cut_out,
-    paste,
-    pseudo_scenes,
-)
+from obpose.contact.pasting import Cutout, PastedClips, PseudoScene, cut_out, paste, pseudo_scenes
 from obpose.data.clips import ArrayClips, observation_of
 from obpose.errors import UsageError
 from obpose.geometry import unproject
@@ -259,9 +250,9 @@ def test_pasted_objects_are_visible_and_leave_others_visible():
     scene = seen_at_an_angle()
     low = only_low(scene)
     visible = [np.count_nonzero(found.labels == 2) / len(cutout.rows) for cutout, found in pastings(scene, low)]
-    assert LEAST_VISIBLE <= min(visible) < 1
+    assert 0.5 <= min(visible) < 0.6
     left = [np.count_nonzero(found.labels == 1) / np.count_nonzero(low.labels) for _, found in pastings(low, scene)]
-    assert LEAST_LEFT <= min(left) < 1
+    assert 0.4 <= min(left) <= 0.5
 
 
 def test_pasted_objects_hide_what_is_behind_them(clips: ArrayClips):

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from benchmark.metrics import clip_scores
 from benchmark.models.classical.clip_tracker import ClipTracker, follow_clearest
 from benchmark.models.classical.plane_dbscan import PlaneDbscan
-from obpose.contact.motion.tracking import LEAST_POINTS, Cloud, kabsch, move, split
+from obpose.contact.motion.tracking import COLOUR_SCALE, LEAST_POINTS, Cloud, kabsch, move, split
 from tests.worlds.sphere_clips import balls
 
 STEPS = np.linspace(-0.12, 0.12, 7)
@@ -58,6 +58,19 @@ def test_the_frame_with_most_components_decides():
     one = np.concatenate([cube(3) * 0.01, cube(3) * 0.01 + [0.03, 0, 0]])
     clouds = [Cloud(points, np.zeros_like(points)) for points in (one, two, one)]
     assert [len(np.unique(found)) for found in follow_clearest(clouds, 0.012)] == [2, 2, 2]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_two_frames_with_as_many_components_the_one_with_more_points_decides(order: int):
+    """A green cube touches a red one in a frame where a part of the blue one is hidden, and the blue one elsewhere."""
+    cubes = [cube(3) * 0.01 + [place, 0, 0] for place in (0, 0.05, 0.08)]
+    colours = np.repeat(COLOUR_SCALE * np.eye(3), 27, axis=0)
+    whole = np.concatenate(cubes)
+    partial = np.concatenate([cubes[0], cubes[1] - [0.02, 0, 0], cubes[2][:18]])
+    assert [split(points, 0.012)[[0, 27, 54]].tolist() for points in (partial, whole)] == [[0, 0, 1], [0, 1, 1]]
+    found = follow_clearest([Cloud(points, colours[: len(points)]) for points in (partial, whole)][::order], 0.012)
+    expected = [np.repeat([0, 1], [27, len(points) - 27]) for points in (partial, whole)][::order]
+    assert all(np.array_equal(*pair) for pair in zip(found, expected, strict=True))
 
 
 def test_specks_join_the_nearest_object():

@@ -1,10 +1,12 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from benchmark.metrics import clip_scores
 from benchmark.models.classical.convexity import Convexity, normals
 from benchmark.models.classical.points import scene_points
+from benchmark.models.interface import Clip
 from tests.worlds.sphere_clips import balls
 
 
@@ -32,6 +34,32 @@ def test_colour_divides_what_shape_does_not():
     options = {"concavity": 0.0, "gap": 10.0}
     labels = Convexity(**options).segment(dataclasses.replace(clip, rgb=painted)).labels
     assert clip_scores(truth, labels)["ari_fg"][0] > 0.95
+
+
+def raised(*tiles: tuple[slice | int, slice | int, float]) -> Clip:
+    """An image from a height of 1 m, 3.6 cm a pixel, of a table and level tiles: rows, columns, and depth in metres."""
+    clip, _ = balls(np.zeros((1, 0, 3)), size=32)
+    depth = np.ones_like(clip.depth)
+    for rows, columns, distance in tiles:
+        depth[0, 0, rows, columns] = distance
+    return dataclasses.replace(clip, depth=depth)
+
+
+@pytest.mark.parametrize(("height", "segments"), [(0.05, 1), (0.15, 2)])
+def test_tiles_that_only_a_gap_separates_are_divided_if_it_is_large(height: float, segments: int):
+    """Tiles of one colour, one above the other. Neighbours that are 6.3 cm apart begin to repel each other."""
+    clip = raised((slice(8, 16), slice(8, 16), 0.9), (slice(8, 16), slice(16, 24), 0.9 - height))
+    labels = Convexity().segment(clip).labels[0, 0]
+    assert labels.max() == segments
+    assert (labels[8:16, 8:16] == 1).all()
+    assert (labels[8:16, 16:24] == segments).all()
+
+
+@pytest.mark.parametrize(("pixels", "label"), [(5, 1), (9, 0)])
+def test_specks_join_segments_within_four_gaps(pixels: int, label: int):
+    """A gap is 1.75 pixels wide."""
+    clip = raised((slice(8, 16), slice(8, 16), 0.9), (10, 15 + pixels, 0.9))
+    assert Convexity().segment(clip).labels[0, 0, 10, 15 + pixels] == label
 
 
 def test_normals_of_balls_point_outwards():

@@ -95,6 +95,13 @@ def test_parts_that_are_far_apart_or_seen_once_are_not_compared():
     assert not common_motion(once, labels).excess.any()
 
 
+@pytest.mark.parametrize("order", [1, -1], ids=["part", "meet"])
+def test_parts_that_are_near_each_other_in_one_frame_are_compared(order: int):
+    one, other = box(0, 0.0), box(1, 0.06)
+    frames = [cloud(one, other), cloud(one, other + shift(0, 0.2))][::order]
+    assert common_motion(frames, [np.repeat([0, 1], 60)] * 2).excess[0, 1] > 0.003
+
+
 @pytest.mark.parametrize(
     ("axis", "degrees", "slip", "tumbling"),
     [("y", 15, 0.0, True), ("y", 4, 0.0, False), ("z", 15, 0.0, False), ("y", 15, 0.01, False)],

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from obpose.contact.motion.tracking import LARGEST_ANGLE, Cloud, Followed, follow, move, register, track
+from obpose.contact.motion.tracking import Cloud, Followed, follow, move, register, track
 
 CUBE = 0.01 * np.stack(np.meshgrid(*[np.arange(3.0)] * 3), axis=-1).reshape(-1, 3)
 ROW = np.concatenate([CUBE, CUBE + np.array([0.06, 0, 0])])
@@ -50,10 +50,10 @@ def test_a_partly_hidden_object_stays_in_place():
     np.testing.assert_allclose(predicted[0], bar, atol=1e-9)
 
 
-@pytest.mark.parametrize("excess", [-0.01, 0.01])
-def test_points_turn_by_no_more_than_the_largest_angle(excess: float):
-    target = turned(CUBE, LARGEST_ANGLE + excess) + STEP
-    expected = CUBE + STEP if excess > 0 else target
+@pytest.mark.parametrize(("degrees", "followed"), [(34, True), (35, False), (60, False), (150, False)])
+def test_points_are_only_shifted_where_a_turn_would_be_too_large(degrees: float, followed: bool):
+    target = turned(CUBE, np.radians(degrees)) + STEP
+    expected = target if followed else CUBE + STEP
     np.testing.assert_allclose(move(CUBE, (CUBE, target), turning=True), expected, atol=1e-9)
 
 
