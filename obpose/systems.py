@@ -208,7 +208,7 @@ SYSTEMS: dict[str, System] = {
         uses_labels=True,
         at_test={track: {"model.bias": bias} for track, bias in _BIAS.items()},
     ),
-    "ogc": System(OGC, {}, DESCRIPTIONS["ogc"], ("slots", "background slot", "camera pose", "plane"), version=2),
+    "ogc": System(OGC, {}, DESCRIPTIONS["ogc"], ("slots", "background slot", "camera pose", "plane"), version=3),
     "contact-masks": System(
         CONTACT,
         {},

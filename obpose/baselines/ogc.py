@@ -3,8 +3,10 @@
 A network gives every point soft masks. Points of one mask must move as one rigid body between two frames (`dynamic`),
 near points should share their mask (`smooth`), and masks must not depend on the position of the scene (`invariant`).
 
-Deviations: the network is the contact model's U-Net on images, all points above the table are objects, and the flow is
-estimated from the two frames by `scene_flow`, once.
+Deviations: the network is the contact model's U-Net on images, with one learned feature a mask in place of queries that
+depend on the scene. All points above the table are objects. The flow is estimated from the two frames by `scene_flow`,
+once. `smooth` and `invariant` have lower weights and start later: motions on a table are a few centimetres, and with
+OGC's weights (0.1) all points soon share one mask.
 """
 
 import math
@@ -12,10 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
-from torch import Tensor
+from torch import Tensor, nn
 
 from obpose.contact.components import image_components
 from obpose.contact.config import OgcConfig
@@ -33,14 +36,16 @@ NEAREST, BALL = (8, 0.02, 3.0), (16, 0.04, 1.0)
 """Neighbours of the smoothness loss: number, largest distance in metres, weight."""
 LEAST = 6
 """Components of fewer pixels have no flow of their own."""
-DYNAMIC, SMOOTH, INVARIANT = 10.0, 0.1, 0.1
+DYNAMIC, SMOOTH, INVARIANT = 10.0, 0.02, 0.02
 """Weights of the losses."""
-SMOOTH_FROM = 0.1
-"""Share of the budget from which on masks are smoothed; OGC: from step 1,000 on."""
+DYNAMIC_ALONE = 0.5
+"""Share of the budget in which only `dynamic` counts."""
+FEATURES, TEMPERATURE = 32, 0.05
+"""Length of the features of pixels and masks, and the temperature of their cosines."""
 
 
 class Ogc(ContactModel):
-    """U-Net whose outputs are masks of the points above the table, trained on pairs of neighbouring frames.
+    """U-Net whose features give masks of the points above the table, trained on pairs of neighbouring frames.
 
     At evaluation the masks of single images are followed through the clip, as in the contact model.
     """
@@ -48,10 +53,15 @@ class Ogc(ContactModel):
     observation_type = Observation
     config: OgcConfig
 
+    def __init__(self, config: OgcConfig):
+        """Build the network with fresh weights from PyTorch's global generator."""
+        super().__init__(config)
+        self.mask_features = nn.Parameter(torch.randn(config.model.slots, FEATURES))
+
     @property
     def channels(self) -> int:
-        """Number of masks."""
-        return self.config.model.slots
+        """Number of features of a pixel."""
+        return FEATURES
 
     def training_source(self, source: ClipSource) -> ClipSource:
         """Give the clips themselves.
@@ -65,7 +75,9 @@ class Ogc(ContactModel):
 
     def masks(self, images: Images) -> Float[Tensor, "image slot height width"]:
         """Soft masks, which sum to one at each pixel."""
-        return self.network(images.inputs()).float().softmax(dim=1)
+        features = self.network(images.inputs()).float()
+        cosines = F.cosine_similarity(features[:, None], self.mask_features[:, :, None, None], dim=2)
+        return (cosines / TEMPERATURE).softmax(dim=1)
 
     def standing(self, images: Images) -> Bool[Tensor, "image height width"]:
         """Pixels above the table."""
@@ -94,13 +106,14 @@ class Ogc(ContactModel):
                 dynamic.append(dynamic_loss(place, torch.from_numpy(flow).to(place), here))
                 smooth.append(smoothness_loss(place, here))
                 invariant.append(invariance_loss(here, other[one][:, standing[one]]))
-        # Weighted sum; smoothness is off at first.
+        # Weighted sum; motion alone counts at first.
         terms = {
             name: torch.stack(values).mean() if values else masks.sum() * 0
             for name, values in (("dynamic", dynamic), ("smooth", smooth), ("invariant", invariant))
         }
-        smoothed = SMOOTH * (fraction >= SMOOTH_FROM)
-        total = DYNAMIC * terms["dynamic"] + smoothed * terms["smooth"] + INVARIANT * terms["invariant"]
+        total = DYNAMIC * terms["dynamic"]
+        if fraction >= DYNAMIC_ALONE:
+            total = total + SMOOTH * terms["smooth"] + INVARIANT * terms["invariant"]
         return {"total": total, **{name: term.detach() for name, term in terms.items()}}
 
     def label_objects(self, observation: Observation) -> Labels:

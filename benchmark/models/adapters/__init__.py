@@ -17,7 +17,7 @@ LABELLED_TRIALS: dict[str, int] = {
     "supervised": 12,
     "obsurf": 30,
     "contact": 12,
-    "ogc": 0,
+    "ogc": 3,
     "obpose-contact": 12,
 }
 """Approximate number of short runs that were compared with labels of validation scenes, by architecture; see

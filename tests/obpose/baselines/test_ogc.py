@@ -86,6 +86,29 @@ def test_the_number_of_masks_has_bounds(slots: int):
         check_contact_bounds(override(OgcConfig(), {"model.slots": slots}))
 
 
+def test_only_motion_counts_in_the_first_half_of_the_budget():
+    scene, model = table_scene(frames=2, spheres=2), Ogc(OgcConfig())
+
+    def losses(fraction: float) -> dict[str, torch.Tensor]:
+        return model.losses(scene, step=0, fraction=fraction, generator=torch.Generator().manual_seed(0))
+
+    early, late = losses(0.49), losses(0.5)
+    assert early["total"] == 10 * early["dynamic"]
+    torch.testing.assert_close(late["total"], 10 * late["dynamic"] + 0.02 * (late["smooth"] + late["invariant"]))
+    assert late["invariant"] > 0
+
+
+def test_masks_do_not_depend_on_the_length_of_features():
+    scene, model = table_scene(frames=1, spheres=1), Ogc(OgcConfig())
+    images = model.images(scene)
+    before = model.masks(images)
+    with torch.no_grad():
+        model.mask_features.mul_(3)
+    torch.testing.assert_close(model.masks(images), before)
+    torch.testing.assert_close(before.sum(dim=1), torch.ones_like(before[:, 0]))
+    assert (before.max(dim=1).values > 0.5).float().mean() > 0.1  # a low temperature makes fresh masks distinct
+
+
 def test_a_step_learns_and_masks_cover_what_stands_on_the_table():
     scene = table_scene(frames=2, spheres=2)
     model = Ogc(OgcConfig())
