@@ -158,14 +158,24 @@ def _scored_folder(values: arguments.Run) -> DataFolder:
     source = find_data_folder(folder, RealTable if values.track else DataFolder)
     if not values.track and source.name in REAL_TABLES:
         raise UsageError(f"{folder} has the name of a track; add --track {REAL_TABLE}, or rename the folder.")
+    dataset = Dataset(folder)
     if not source.size("test"):
-        raise UsageError(f"{folder} has no test scenes to score on; generate some with --scenes or --split test=N.")
-    if "segmentation" not in Dataset(folder).fields("test"):
+        raise UsageError(f"{folder} has no test scenes to score on; {_test_scenes_advice(dataset)}")
+    if "segmentation" not in dataset.fields("test"):
         raise UsageError(
             f"{folder} has no masks in its test split, so that nothing can be scored. Import it again with masks; "
             "models can be trained on it with obpose-train."
         )
     return source
+
+
+def _test_scenes_advice(dataset: Dataset) -> str:
+    if not dataset.imported:
+        return "generate some with --scenes or --split test=N."
+    return (
+        "import it again, with more recordings, with --frames N or --group stills, which make several scenes of a "
+        "recording, or with --split test. Models that are tuned on split val can use --fit-track instead."
+    )
 
 
 def _models(values: arguments.Run, source: Source) -> tuple[str, ...]:

@@ -250,9 +250,15 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     # Tuning needs labels of the validation split.
     tuned = len(spec.grid) > 1
     if tuned and not len(val):
-        raise UsageError(f"{job.fit_data} has no validation scenes, but {job.model!r} is tuned on them; make some.")
+        raise UsageError(
+            f"{job.fit_data} has no validation scenes, but {job.model!r} is tuned on them; make some, or tune on a "
+            "track with --fit-track."
+        )
     if tuned and not labelled:
-        raise UsageError(f"{job.fit_data} has no masks in split val, but {job.model!r} is tuned on them; add some.")
+        raise UsageError(
+            f"{job.fit_data} has no masks in split val, but {job.model!r} is tuned on them; add some, or tune on a "
+            "track with --fit-track."
+        )
     # Options of the constructor; tuning takes half of the budget.
     options = {"slots": job.fit_slots} | ({} if job.steps is None else {"steps": job.steps})
     options |= {} if job.profile == "cpu" else {"profile": job.profile}

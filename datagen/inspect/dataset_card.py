@@ -6,7 +6,7 @@ from pathlib import Path
 
 from datagen.inspect import imported
 from datagen.inspect.croissant import Files, croissant
-from datagen.inspect.stats import Summary, summary
+from datagen.inspect.stats import Summary, readable, summary
 from datagen.schema import FIELDS
 from datagen.storage.dataset_folder import write_file
 from datagen.storage.reader import Dataset
@@ -26,7 +26,7 @@ def write_card(folder: str | Path) -> Path:
     """
     spec = Dataset(folder).spec
     figures = summary(folder)
-    text = imported.card(spec, figures) if is_imported(spec) else card(spec, figures, meshes_seen(folder))
+    text = imported.card(spec, readable(figures)) if is_imported(spec) else card(spec, figures, meshes_seen(folder))
     texts = {CROISSANT_FILE: metadata(spec), CARD_FILE: text}
     for name, text in texts.items():
         write_file(Path(folder), name, text.encode(), settings_hash(spec))

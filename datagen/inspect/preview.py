@@ -40,7 +40,8 @@ GAP = 6
 HEADING = 18
 BAR = 100
 """Length of the legend's bar of depths, pixels."""
-PAPER, INK = (255, 255, 255), (40, 40, 40)
+PAPER, INK, EDGE = (255, 255, 255), (40, 40, 40), (150, 150, 150)
+"""Colours of the page, of text, and of the edges of the legend's colours, some of which are white."""
 
 DEPTH_COLORS = np.array(
     [(250, 240, 190), (250, 180, 110), (230, 100, 90), (160, 50, 110), (80, 20, 110), (20, 10, 50)], np.float64
@@ -281,7 +282,9 @@ def _legend(records: dict[str, SceneRecord]) -> Iterator[Rgb]:
 
 
 def _swatch(color: Sequence[int] | UInt8[np.ndarray, "3"]) -> Rgb:
-    return np.broadcast_to(np.array(color, np.uint8), (HEADING, HEADING, 3))
+    swatch = np.full((HEADING, HEADING, 3), EDGE, np.uint8)
+    swatch[1:-1, 1:-1] = color
+    return swatch
 
 
 def _words(text: str) -> Rgb:

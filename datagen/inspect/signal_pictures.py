@@ -51,10 +51,10 @@ def colored_coordinates(coordinates: Integer[np.ndarray, "height width 3"]) -> R
 def signal_legend(record: SceneRecord) -> Iterator[tuple[str, Rgb, tuple[str, ...]]]:
     """Explain the colours of each stored signal: its name, a row of colours, and a word for each of them."""
     if "flow/forward" in record:
-        # The last colour is that of a hidden point that moves right.
-        motion = np.array([[(1, 0), (0, 1), (-1, 0), (0, -1), (0, 0), (1, 0)]], np.float64)
-        divisor = np.array([1, 1, 1, 1, 1, 2], np.uint8)[None, :, None]
-        words = ("right", "down", "left", "up", "still", "right, hidden")
+        # The last two colours are those of hidden points; where there is no other frame, the flow is 0 and none shows.
+        motion = np.array([[(1, 0), (0, 1), (-1, 0), (0, -1), (0, 0), (1, 0), (0, 0)]], np.float64)
+        divisor = np.array([1, 1, 1, 1, 1, 2, 2], np.uint8)[None, :, None]
+        words = ("right", "down", "left", "up", "still", "right, hidden", "no such frame, or still and hidden")
         yield "flow:", colored_flow(motion, most=1.0) // divisor, words
     if "normals" in record:
         directions = np.array([[(NORMAL_SCALE, 0, 0), (0, -NORMAL_SCALE, 0), (0, 0, -NORMAL_SCALE)]])

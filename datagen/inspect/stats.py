@@ -63,9 +63,22 @@ def run(folder: str | Path) -> None:
         DatagenError: the folder holds no complete dataset.
     """
     table = Table("figure", "value", title=escape(str(folder)), title_style="bold")
-    for name, value in summary(folder).items():
+    for name, value in readable(summary(folder)).items():
         table.add_row(name.replace("_", " "), escape(_text(value)))
     Console().print(table)
+
+
+def readable(figures: Summary) -> Summary:
+    """Give sizes in usual notation, and leave out what a dataset does not have, such as the seed of an import."""
+    shown: Summary = {}
+    for name, value in figures.items():
+        if name == "resolution" and value:
+            shown[name] = "x".join(map(str, value))
+        elif name == "bytes_per_image":
+            shown["size_per_image"] = f"{value / 1024:.1f} KiB"
+        elif value is not None:
+            shown[name] = value
+    return shown
 
 
 def inspect(folder: str | Path, split: str, scene: int) -> None:
@@ -136,7 +149,7 @@ def _facts(dataset: Dataset) -> Summary:
     size = sum(part.path(number).stat().st_size for part in scenes for number in range(len(part.shards)))
     return {
         "recipe": spec["recipe"]["name"],
-        "seed": spec["seed"],
+        "seed": None if dataset.imported else spec["seed"],
         "renderer": spec["renderer"] and spec["renderer"]["name"],
         "resolution": spec["resolution"],
         "scenes": dataset.splits,

@@ -19,7 +19,7 @@ from datagen.storage.locks import FolderLock
 from datagen.storage.spec import SPEC_FILE
 
 CACHE = "OBPOSE_CACHE"
-"""Environment variable that names the cache folder; the default is `~/.cache/obpose`."""
+"""Environment variable that names the cache folder; the default is `$XDG_CACHE_HOME/obpose` or `~/.cache/obpose`."""
 
 _TEMPORARY = re.compile(r"\.(?P<target>.+)\.partial-(?P<host>.+)-(?P<process>\d+)-(?P<thread>\d+)")
 _ABANDONED_SECONDS = 3600
@@ -291,7 +291,11 @@ def _is_abandoned(path: Path) -> bool:
 
 def cache_folder() -> Path:
     """Folder of everything that can be made again, such as tracks and hulls."""
-    return Path(os.environ.get(CACHE) or Path.home() / ".cache" / "obpose").expanduser()
+    if named := os.environ.get(CACHE):
+        return Path(named).expanduser()
+    # The XDG specification says that relative paths are to be ignored.
+    xdg = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return (xdg if xdg.is_absolute() else Path.home() / ".cache") / "obpose"
 
 
 def is_running(process: int) -> bool:

@@ -71,6 +71,10 @@ PROGRAM = "obpose-train"
 RUNS = Path("runs")
 LIMITS = {"minutes": MOST_MINUTES, "steps": MOST_STEPS, "threads": 1024, "workers": 1024}
 """Largest values of flags, all of which are positive."""
+MOST_PIXELS = 160 * 120
+"""Pixels of an image beyond which systems that group pixels are slow, above all while they are untrained."""
+GROUPING = ("obpose-contact", "contact", "supervised", "ogc")
+"""Architectures that group the pixels of whole images."""
 
 
 def main(arguments: Sequence[str] | None = None, *, score: "Score | None" = None) -> int:
@@ -142,6 +146,8 @@ def run(values: Train, score: "Score | None" = None) -> int:
         with locked_folder(out), TemporaryFile(dir=out):
             pass
     minutes, steps = config.train.minutes, config.train.steps
+    if system.architecture.name in GROUPING:
+        _warn_of_large_images(console, data.resolution)
     budget = counted(minutes, "minute") if steps is None else counted(steps, "step")
     console.print(f"Training {values.variant} on {data.name}, {budget}, into {out}", markup=False)
     with progress_bar(console) as report:
@@ -171,6 +177,18 @@ def _check(values: Train, system: System) -> None:
             raise UsageError(f"--{name} {value}: expected more than 0 and at most {most}.")
     if not 0 <= values.seed < 2**63:
         raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
+
+
+def _warn_of_large_images(console: Console, size: tuple[int, int]) -> None:
+    width, height = size
+    if width * height > MOST_PIXELS:
+        console.print(
+            f"Warning: images have {width}x{height} pixels, expected at most 160x120. Each validation and picture may "
+            "take many minutes. Make smaller images: obpose-datagen import (for recordings) and "
+            "obpose-datagen render --from (for generated scenes) have --resolution 160x120.",
+            markup=False,
+            highlight=False,
+        )
 
 
 def _prepare(data: "Track | DataFolder", values: Train, console: Console) -> Path:

@@ -1,11 +1,14 @@
 """Storage of models and unfinished trainings, as safetensors and JSON.
 
-A folder holds `model.safetensors` and `config.json`, from which `load` builds the model, and `training.safetensors`:
-everything needed to resume training, weights included. It is a single file, so that its contents are of one step.
+A folder holds `model.safetensors` and `config.json`, from which `load` builds the model, and `model.sha256`, the digest
+of the weights. `training.safetensors` has everything needed to resume training, weights included. It is a single file,
+so that its contents are of one step.
 """
 
+import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,15 +17,19 @@ import torch
 from safetensors.torch import save
 
 from datagen.storage.atomic import write_atomically
-from datagen.storage.safe_io import brief_reason, parse_json, read_bytes, read_json
+from datagen.storage.safe_io import brief_reason, parse_json, read_bytes, read_json, read_text
 from obpose.config_text import differences, from_plain, to_plain
 from obpose.errors import CorruptFile, UsageError
 from obpose.model.obpose import ObPose
+from obpose.storage.pretrained import MOST_BYTES
 from obpose.storage.tensors import Expect, Forms, State, differences_of, forms_of, read_tensors
 from obpose.systems import ARCHITECTURES, OBPOSE, architecture_of, build_model
 from obpose.trainable import Configuration, Trainable
 
 MODEL, CONFIG, TRAINING = "model.safetensors", "config.json", "training.safetensors"
+DIGEST = "model.sha256"
+"""SHA-256 of the weights in the format of `sha256sum`. It is a file of its own, because the hashes of weights and
+configuration identify results and scenes."""
 TABLES = STEPS, VALIDATIONS = "training.csv", "validation.csv"
 """Tables with the curves of a training, in the same folder."""
 VERSION = 1
@@ -61,9 +68,36 @@ class TrainingState:
 
 def save_model(folder: Path, weights: State, config: Configuration, info: Info) -> None:
     """Write a model for `load`. The configuration is written last: if it exists, the model is complete."""
-    _write_tensors(folder / MODEL, weights, info)
+    with signed_model(folder):
+        _write_tensors(folder / MODEL, weights, info)
     facts = {"version": VERSION, "architecture": architecture_of(config).name, "config": to_plain(config)}
     write_atomically(folder / CONFIG, (json.dumps(facts, indent=1) + "\n").encode())
+
+
+@contextmanager
+def signed_model(folder: Path) -> Iterator[None]:
+    """Write the digest of the weights that the block writes; if the process is killed, there is none."""
+    with suppress(OSError):  # where a file cannot be deleted, writing reports it
+        (folder / DIGEST).unlink()
+    yield
+    write_atomically(folder / DIGEST, f"{_digest(folder)}  {MODEL}\n".encode())
+
+
+def _digest(folder: Path) -> str:
+    return hashlib.sha256(read_bytes(folder / MODEL, MOST_BYTES)).hexdigest()
+
+
+def _check_digest(folder: Path) -> None:
+    found = _digest(folder)  # read first: a training may replace both files meanwhile
+    try:
+        expected = read_text(folder / DIGEST).split()[:1]
+    except FileNotFoundError:  # as in folders of earlier versions
+        return
+    if expected != [found]:
+        raise CorruptFile(
+            f"{folder / MODEL} is damaged (its SHA-256 is not that of {DIGEST} beside it); {_MEND[MODEL]} If these "
+            f"weights are right, delete {DIGEST}."
+        )
 
 
 def load(folder: Path, build: Build = build_model) -> tuple[Trainable, Configuration, Info]:
@@ -71,13 +105,14 @@ def load(folder: Path, build: Build = build_model) -> tuple[Trainable, Configura
 
     Raises:
         UsageError: there is no model, its version or architecture is unknown, or its weights do not fit.
-        CorruptFile: a file is damaged, or holds NaN or infinity.
+        CorruptFile: a file is damaged, holds NaN or infinity, or has another SHA-256 than `DIGEST` says.
     """
     config = read_config(folder)
     with torch.random.fork_rng(devices=[]):
         model = build(config)
     expected = forms_of(model.state_dict())
     weights, info = _read_tensors(folder / MODEL, lambda found: _check_fit(found, expected, str(folder)))
+    _check_digest(folder)
     model.load_state_dict(weights)
     return model.eval(), config, info
 

@@ -150,7 +150,17 @@ def _assign(groups: list[list[Unit]], request: Request) -> tuple[dict[str, list[
         splits = [_share(place) for place in range(len(units))]
         notes = ("Training, validation and test scenes come from the same recordings.",)
     found = {name: [unit for unit, split in zip(units, splits, strict=True) if split == name] for name in SPLITS}
+    published = all(unit.recording.split for unit in units)
+    if not (request.split or published) and (empty := [name for name, members in found.items() if not members]):
+        notes = (*notes, _note_on_empty(empty))
     return {name: members[: request.scenes] for name, members in found.items()}, notes
+
+
+def _note_on_empty(splits: Sequence[str]) -> str:
+    return (
+        f"No scenes for {' and '.join(splits)}. To get some, import more recordings, cut them into clips with --frames "
+        "N, or make each image a scene with --group stills. --split test puts all scenes into test."
+    )
 
 
 def _share(place: int) -> str:

@@ -9,7 +9,7 @@ from obpose.scenes.model_ref import load_origin
 from obpose.scenes.priors import available_priors
 from obpose.scenes.priors.flow_prior import FlowObjects, load_flow, save_flow
 from obpose.scenes.priors.gaussian import load_gaussian, save_gaussian
-from obpose.storage.checkpoint import MODEL
+from obpose.storage.checkpoint import MODEL, signed_model
 from obpose.storage.tensors import Precision, pack, read_tensors
 
 
@@ -27,7 +27,8 @@ def shrink_checkpoint(folder: Path, precision: Precision = "float16") -> None:
     gaussian = load_gaussian(origin) if "gaussian" in names else None
     flow = load_flow(origin).objects if "flow" in names else None
     tensors, metadata = read_tensors(folder / MODEL, "train it again.")
-    write_atomically(folder / MODEL, save(pack(tensors, precision), metadata=metadata))
+    with signed_model(folder):
+        write_atomically(folder / MODEL, save(pack(tensors, precision), metadata=metadata))
     changed = load_origin(str(folder))
     if gaussian is not None:
         save_gaussian(changed, gaussian)

@@ -14,10 +14,13 @@ from benchmark.execution.executor import Limits
 from benchmark.models.registry import GROUPS
 from datagen import config
 from datagen.errors import UsageError
+from datagen.formats.import_request import Request as Import
+from datagen.formats.importers.write import import_dataset
 from datagen.storage import spec
 from obpose.config_text import to_plain
 from obpose.systems import find_system
 from tests.worlds.imported import import_balls
+from tests.worlds.recordings import shoot, write_rgbd
 from tests.worlds.traced import spheres_recipe, write_dataset
 
 
@@ -131,6 +134,13 @@ def test_limits_of_jobs_follow_the_flags():
 def test_a_dataset_without_test_scenes_is_refused(tmp_path: Path):
     with pytest.raises(UsageError, match="has no test scenes to score on"):
         request(write_dataset(tmp_path / "data", scenes=0))
+
+
+def test_an_imported_dataset_without_test_scenes_is_to_be_imported_again(tmp_path: Path):
+    write_rgbd(tmp_path / "one", [shoot()], masks=True)
+    import_dataset(Import(format="rgbd", source=tmp_path / "one", out=tmp_path / "data"))
+    with pytest.raises(UsageError, match=r"has no test scenes to score on; import it again, .* --split test"):
+        request(tmp_path / "data")
 
 
 def test_a_dataset_without_masks_is_refused(tmp_path: Path):

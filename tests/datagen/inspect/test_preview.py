@@ -33,6 +33,13 @@ def contains(picture: np.ndarray, part: np.ndarray) -> bool:
     return any(True for _ in places_of(picture, part))
 
 
+def swatch(color: np.ndarray | tuple[int, ...]) -> np.ndarray:
+    """A colour of the legend, with its grey edge."""
+    square = np.full((18, 18, 3), 150, np.uint8)
+    square[1:-1, 1:-1] = color
+    return square
+
+
 def places_of(picture: np.ndarray, part: np.ndarray) -> Iterator[tuple[int, int]]:
     """Rows and columns of the places where a picture shows a part."""
     height, width = part.shape[:2]
@@ -71,9 +78,10 @@ def test_signals_are_shown_below_the_images(tmp_path: Path):
         assert contains(picture, signal_pictures.tracks_picture(record, frame, 0))
         for direction in ("forward", "backward"):
             assert contains(picture, signal_pictures.flow_picture(record, direction, frame, 0))
-    # The legend has a colour for flow to the right, shown and hidden, normals that point up, and coordinate z.
-    for color in [(255, 0, 0), (127, 0, 0), (127, 255, 127), (0, 0, 255)]:
-        assert contains(picture, np.broadcast_to(np.array(color, np.uint8), (18, 18, 3)))
+    # The legend has a colour for flow to the right, shown and hidden, for still points, also white on white, for images
+    # without flow, for normals that point up, and for coordinate z.
+    for color in [(255, 0, 0), (127, 0, 0), (255, 255, 255), (127, 127, 127), (127, 255, 127), (0, 0, 255)]:
+        assert contains(picture, swatch(color))
 
 
 def test_colours_of_signals_tell_directions():
@@ -187,7 +195,7 @@ def test_the_sheet_has_a_title_and_a_legend_below():
     rows = np.flatnonzero(np.any(plain != titled, axis=(1, 2)))
     assert 0 < rows[0] <= rows[-1] < preview.GAP + preview.HEADING
     for label in range(1 + int(record["segmentation"].max())):
-        assert contains(plain, np.broadcast_to(preview.label_colors(label + 1)[label], (18, 18, 3)))
+        assert contains(plain, swatch(preview.label_colors(label + 1)[label]))
 
 
 BLACK = np.zeros((2, 3), np.uint8)

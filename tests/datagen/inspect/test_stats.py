@@ -11,6 +11,7 @@ from datagen.storage.reader import Dataset
 from datagen.storage.shard import pack
 from datagen.storage.spec import read_spec
 from tests.worlds import rendered
+from tests.worlds.imported import import_balls
 
 
 def test_figures_are_those_of_a_known_scene(tmp_path: Path):
@@ -62,6 +63,21 @@ def test_stats_and_facts_are_printed(tiny_dataset: Path, capsys: pytest.CaptureF
     assert Dataset(tiny_dataset).split("val").hash(1) in printed
     for category in Dataset(tiny_dataset).split("val")[1]["objects/category"]:
         assert category.decode() in printed
+
+
+def test_stats_and_card_of_an_import_leave_out_what_it_does_not_have(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    folder = import_balls(tmp_path).folder
+    stats.run(folder)
+    printed = capsys.readouterr().out
+    assert "48x36" in printed
+    assert "KiB" in printed
+    card = (folder / "README.md").read_text()
+    assert "| resolution | 48x36 |" in card
+    for text in (printed, card):
+        assert "seed" not in text
+        assert "renderer" not in text
 
 
 def test_scenes_that_are_not_there_are_the_user_s_error(tiny_dataset: Path):

@@ -12,6 +12,7 @@ import pytest
 
 from datagen.errors import Busy, DatagenError, UsageError
 from datagen.storage.atomic import (
+    cache_folder,
     check_new_folder,
     is_running,
     locked_folder,
@@ -302,3 +303,21 @@ def test_an_updated_folder_keeps_its_files_unless_all_new_ones_are_complete(tmp_
     assert (tmp_path / "out" / "second").read_text() == "new"
     assert os.listdir(tmp_path / "out") == ["second"]
     assert os.listdir(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize(
+    ("variables", "folder"),
+    [
+        ({}, "/home/me/.cache/obpose"),
+        ({"XDG_CACHE_HOME": "/scratch"}, "/scratch/obpose"),
+        ({"XDG_CACHE_HOME": "scratch"}, "/home/me/.cache/obpose"),
+        ({"XDG_CACHE_HOME": ""}, "/home/me/.cache/obpose"),
+        ({"XDG_CACHE_HOME": "/scratch", "OBPOSE_CACHE": "~/mine"}, "/home/me/mine"),
+    ],
+)
+def test_variables_name_the_cache(variables: dict[str, str], folder: str, monkeypatch: pytest.MonkeyPatch):
+    for name in ("XDG_CACHE_HOME", "OBPOSE_CACHE"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in {"HOME": "/home/me", **variables}.items():
+        monkeypatch.setenv(name, value)
+    assert cache_folder() == Path(folder)

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 from statistics import mean
+from types import SimpleNamespace
 
 import pytest
 
@@ -60,6 +61,25 @@ def test_larger_models_get_the_larger_images_of_a_track(
         (track.folder / "mine").touch()
     assert main(["--track", "moving", "--profile", profile]) == EXIT_USAGE
     assert re.search(rf"moving-{size}-\w+ holds no dataset", "".join(capsys.readouterr().err.split("\n")))
+
+
+@pytest.mark.parametrize(("variant", "size", "warns"), [
+    ("contact-masks", (168, 120), True), ("contact-masks", (160, 120), False), ("obpose", (168, 120), False),
+])  # fmt: skip
+def test_large_images_for_systems_that_group_pixels_get_a_warning(
+    variant: str,
+    size: tuple[int, int],
+    warns: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.setattr("obpose.training.loop.train", lambda *_, **__: SimpleNamespace(steps=0, seconds=0))
+    folder = write_dataset(tmp_path / "spheres", scenes=1, frames=2, size=size)
+    assert main(["--data", str(folder), "--variant", variant, "--steps", "1", "--out", str(tmp_path / "run")]) == 0
+    errors = capsys.readouterr().err
+    assert ("Warning: images have 168x120 pixels" in errors) == warns
+    assert errors.count("--resolution 160x120") == warns
 
 
 def test_the_last_word_is_that_of_set(data: Path, tmp_path: Path):

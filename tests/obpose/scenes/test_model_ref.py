@@ -25,6 +25,7 @@ def test_a_scene_finds_its_model_and_refuses_others(tmp_path: Path):
     weights = load_file(tmp_path / "model" / "model.safetensors")
     name = next(iter(weights))
     save_file({**weights, name: weights[name] + 1}, tmp_path / "model" / "model.safetensors", {"info": "{}"})
+    (tmp_path / "model" / "model.sha256").unlink()
     with pytest.raises(UsageError, match="made with other weights"):
         origin_of(scene)
 

@@ -11,6 +11,7 @@ from obpose.baselines.obsurf.model import Obsurf
 from obpose.errors import CorruptFile, UsageError
 from obpose.storage.checkpoint import (
     CONFIG,
+    DIGEST,
     MODEL,
     TABLES,
     TRAINING,
@@ -20,6 +21,7 @@ from obpose.storage.checkpoint import (
     load_training,
     save_model,
     save_training,
+    signed_model,
 )
 from obpose.systems import build_model, find_system
 from tests.obpose.toy import ToyModel, toy_config
@@ -117,6 +119,23 @@ def test_a_file_cut_short_is_reported(run: Path, name: str):
     (run / name).write_bytes(whole[: len(whole) // 2])
     with pytest.raises(CorruptFile, match=f"{name} is damaged"):
         load_training(run, CONFIGURATION) if name == TRAINING else load(run, ToyModel)
+
+
+def test_other_bytes_of_the_weights_are_damage(run: Path):
+    whole = bytearray((run / MODEL).read_bytes())
+    whole[-2] ^= 1  # still a finite weight
+    (run / MODEL).write_bytes(whole)
+    with pytest.raises(CorruptFile, match=r"model\.safetensors is damaged \(its SHA-256"):
+        load(run, ToyModel)
+    (run / DIGEST).unlink()  # as in folders that have none
+    load(run, ToyModel)
+
+
+def test_weights_that_are_written_have_no_digest_of_others(run: Path):
+    with pytest.raises(KeyboardInterrupt), signed_model(run):
+        raise KeyboardInterrupt
+    assert not (run / DIGEST).exists()
+    load(run, ToyModel)
 
 
 @pytest.mark.parametrize("lost", [(CONFIG,), (CONFIG, TRAINING), (CONFIG, MODEL)])

@@ -46,6 +46,14 @@ def test_every_still_is_a_scene():
     assert "same recordings" in plan.notes[0]
 
 
+def test_a_note_names_splits_that_stay_empty():
+    (note,) = plan_scenes([(recording(), facts(6))], wanted("clip")).notes
+    assert note.startswith("No scenes for val and test.")
+    assert all(flag in note for flag in ("--frames N", "--group stills", "--split test"))
+    assert not plan_scenes([(recording(), facts(6))], wanted("clip", split="test")).notes
+    assert not plan_scenes([(recording(split="test"), facts(6))], wanted("clip")).notes
+
+
 def test_images_of_a_recording_stay_in_one_split():
     recordings = [(recording(name), facts(2)) for name in "abcd"]
     found = splits(plan_scenes(recordings, wanted("stills")))
