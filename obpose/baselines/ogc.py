@@ -3,10 +3,10 @@
 A network gives every point soft masks. Points of one mask must move as one rigid body between two frames (`dynamic`),
 near points should share their mask (`smooth`), and masks must not depend on the position of the scene (`invariant`).
 
-Deviations: the network is the contact model's U-Net on images, with one learned feature a mask in place of queries that
-depend on the scene. All points above the table are objects. The flow is estimated from the two frames by `scene_flow`,
-once. `smooth` and `invariant` have lower weights and start later: motions on a table are a few centimetres, and with
-OGC's weights (0.1) all points soon share one mask.
+Deviations: the network is the contact model's U-Net on images. The feature of a mask is a learned constant, which OGC
+computes from the scene. All points above the table are objects. The flow is estimated from the two frames by
+`scene_flow`, once. `smooth` and `invariant` have lower weights and start later: objects move only a few centimetres,
+and with OGC's weights (0.1) all points soon share one mask.
 """
 
 import math
