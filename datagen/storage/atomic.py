@@ -299,14 +299,19 @@ def cache_folder() -> Path:
 
 
 def is_running(process: int) -> bool:
-    """Whether a process of this number exists, whoever owns it."""
+    """Whether a process of this number runs, whoever owns it; one that ended and was not waited for does not."""
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):
         return False
     except PermissionError:
         pass
-    return True
+    # Linux keeps the number of an ended process until its parent waits for it; in containers, often no parent does.
+    try:
+        state = Path(f"/proc/{process}/stat").read_text(errors="replace").rpartition(")")[2].split()[0]
+    except OSError:
+        return True
+    return state not in "ZX"
 
 
 def _reason(error: OSError) -> str:

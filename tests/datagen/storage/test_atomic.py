@@ -1,4 +1,5 @@
 import os
+import shutil
 import socket
 import subprocess
 import threading
@@ -275,6 +276,15 @@ def test_running_processes_are_told_from_ended_ones(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(os, "kill", refuse)
     assert is_running(1)
+
+
+def test_a_killed_process_does_not_run_although_its_parent_has_not_waited_for_it(tmp_path: Path):
+    (tmp_path / "a) R").symlink_to(shutil.which("cat") or "")
+    with subprocess.Popen([tmp_path / "a) R"], stdin=subprocess.PIPE) as process:
+        assert is_running(process.pid)
+        process.kill()
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        assert not is_running(process.pid)
 
 
 def test_a_folder_is_replaced_only_once_the_new_one_is_complete(tmp_path):
