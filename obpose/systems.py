@@ -145,7 +145,7 @@ DESCRIPTIONS = {
 _LARGER_BOXES: Changes = {"model.pose.box_size": 0.35}
 """Changes for objects of up to 30 cm; objects of other tracks are at most 18 cm long, and boxes 20 cm."""
 _BIAS = {
-    "touching": 0.0,
+    **dict.fromkeys(("cluttered", "touching"), 0.0),
     "mixed": 1.0,
     **dict.fromkeys(("moving", "same-colour", "textured", "two-colour"), 1.5),
     **dict.fromkeys(("clevr3d", "multishape", "static"), 2.5),
